@@ -1,0 +1,1 @@
+"""Demonstrations: scripted demonstrators, recording, reading and checking LeRobotDatasets."""

@@ -1,0 +1,1 @@
+"""The robosuite tasks as LeRobot environments."""

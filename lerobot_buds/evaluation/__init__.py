@@ -1,0 +1,1 @@
+"""Scores: agreement of segmentations, statistics of rollouts."""

@@ -1,0 +1,1 @@
+"""Skill discovery: hierarchical task structure, temporal segments, skill partition."""
