@@ -1,3 +1,3 @@
 """Entry point by which LeRobot discovers the plugin: it imports the module named like the distribution."""
 
-import lerobot_buds as lerobot_buds
+from lerobot_buds import plugin as plugin

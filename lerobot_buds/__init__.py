@@ -1,5 +1,5 @@
 """BUDS for LeRobot: skills out of unsegmented demonstrations.
 
-Importing this package registers the policy type ``buds`` and the environment type ``robosuite`` with LeRobot. It
-imports configuration modules only; the simulator, torch networks and scikit-learn are loaded where they are used.
+LeRobot finds the plugin by itself, through the module `lerobot_policy_buds`, which imports `lerobot_buds.plugin`.
+Importing this package alone loads neither LeRobot nor torch nor the simulator.
 """

@@ -1,0 +1,100 @@
+"""Loads the simulator at first use, and says in one line what is missing where that fails."""
+
+import logging
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
+from ..core import SimulatorError
+from .rendering import profile_named
+from .tasks import Task
+
+if TYPE_CHECKING:
+    from .simulation.renderer import CameraRenderer
+    from .simulation.tabletop import TabletopEnv
+
+ROBOSUITE_VERSION = "1.5.1"
+MUJOCO_RANGE = ((3, 6), (3, 10))
+"""MuJoCo versions, from the first up to but without the second, whose bindings robosuite 1.5.1 can use."""
+
+_INSTALL = "pip install 'lerobot_policy_buds[sim]' && pip install --no-deps robosuite==1.5.1"
+
+
+def check_versions(robosuite: str | None, mujoco: str | None) -> None:
+    """Refuses a missing simulator or one of an unsupported version.
+
+    Args:
+        robosuite: Installed version, or None.
+        mujoco: Installed version, or None.
+
+    Raises:
+        SimulatorError: With the command that mends it.
+    """
+    if robosuite is None or mujoco is None:
+        missing = "robosuite" if robosuite is None else "mujoco"
+        raise SimulatorError(f"The simulator is not installed ({missing} is missing). Run: {_INSTALL}")
+    if robosuite != ROBOSUITE_VERSION:
+        raise SimulatorError(f"robosuite {robosuite} is not supported, only {ROBOSUITE_VERSION} is. Run: {_INSTALL}")
+    release = tuple(int(part) for part in mujoco.split(".")[:2])
+    low, high = MUJOCO_RANGE
+    if not low <= release < high:
+        raise SimulatorError(
+            f"mujoco {mujoco} is not supported: robosuite {ROBOSUITE_VERSION} needs >= {low[0]}.{low[1]} and "
+            f"< {high[0]}.{high[1]}. Run: pip install 'mujoco>={low[0]}.{low[1]},<{high[0]}.{high[1]}'"
+        )
+
+
+def installed_version(distribution: str) -> str | None:
+    """Reads the version of an installed distribution, None where it is not installed."""
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None
+
+
+def open_simulation(task: Task) -> "TabletopEnv":
+    """Builds the robosuite environment of a task.
+
+    Raises:
+        SimulatorError: The simulator is missing, unsupported, or cannot load its OpenGL library.
+    """
+    check_versions(installed_version("robosuite"), installed_version("mujoco"))
+    # MuJoCo reads this once, when it is imported.
+    if platform.system() == "Linux":
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    quiet_before = logging.root.manager.disable
+    logging.disable(logging.WARNING)  # robosuite warns about optional packages that nothing here uses
+    try:
+        from .simulation.multitask_kitchen import MultitaskKitchen
+        from .simulation.tabletop import TabletopEnv
+
+        logging.getLogger("robosuite_logs").setLevel(logging.ERROR)
+    except (AttributeError, ImportError, OSError) as error:
+        raise _no_opengl(error) from error
+    finally:
+        logging.disable(quiet_before)
+    return TabletopEnv(MultitaskKitchen(task.start, task.goal))
+
+
+def open_renderer(simulation: "TabletopEnv", profile: str, size: int) -> "CameraRenderer":
+    """Makes the renderer of a simulation, for the process and thread that calls.
+
+    Raises:
+        SimulatorError: OpenGL cannot draw without a display here.
+    """
+    from mujoco import FatalError
+
+    from .simulation.renderer import CameraRenderer
+
+    try:
+        return CameraRenderer(simulation.sim, profile_named(profile), size)
+    except (AttributeError, FatalError, ImportError, RuntimeError) as error:
+        raise _no_opengl(error) from error
+
+
+def _no_opengl(error: Exception) -> SimulatorError:
+    return SimulatorError(
+        f"The simulator cannot draw: {error}. Install libEGL (Debian: apt-get install libegl1), or set "
+        f"MUJOCO_GL=osmesa; MUJOCO_GL is now {os.environ.get('MUJOCO_GL', 'unset')!r}."
+    )

@@ -1,0 +1,180 @@
+"""A robosuite task as a Gymnasium environment with LeRobot's observations.
+
+The simulator is made at the first reset, in the process and thread that uses it: an OpenGL context does not survive a
+fork, and spaces and attributes are then free to read.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core import ConfigError, SimulatorError
+from .loading import open_renderer, open_simulation
+from .rendering import PROFILES, profile_named
+from .tasks import tasks_named
+
+if TYPE_CHECKING:
+    from .simulation.renderer import CameraRenderer
+    from .simulation.state import SimulationState
+    from .simulation.tabletop import TabletopEnv
+
+FPS = 20
+CAMERAS = {"agentview": "agentview", "eye_in_hand": "robot0_eye_in_hand"}
+"""Observation name -> camera name in the model."""
+
+STATE_NAMES = [
+    *(f"joint_{i}.pos" for i in range(1, 8)),
+    "gripper_left.pos",
+    "gripper_right.pos",
+    "eef_x.pos",
+    "eef_y.pos",
+    "eef_z.pos",
+]
+"""Dimensions of ``agent_pos``: seven arm joints (rad), two fingers (m), hand position in the world (m)."""
+
+ACTION_NAMES = ["delta_x", "delta_y", "delta_z", "gripper"]
+SETTLE_STEPS = 5
+"""Steps with the gripper opening that every episode starts with; they belong to the reset (original's protocol)."""
+
+Observation = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class EnvSettings:
+    """What a `RobosuiteEnv` is made from.
+
+    Attributes:
+        task: A task's full name.
+        max_steps: Episode length (control steps); None for the task's own.
+        image_size: Height and width of both cameras (pixels).
+        render_profile: A key of `rendering.PROFILES`.
+    """
+
+    task: str
+    max_steps: int | None = None
+    image_size: int = 128
+    render_profile: str = "fast"
+
+
+class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
+    """One environment.
+
+    Observations hold ``pixels`` (one ``(H, W, 3)`` uint8 image a camera, top row first), ``agent_pos`` ((12,) float32,
+    see `STATE_NAMES`) and ``render_profile`` ((1,) float32, the number of the profile, so that a policy can refuse
+    images that are drawn otherwise than those it was trained on). Actions are (4,) float32 in [-1, 1]: hand
+    displacement in the world's axes (1 aims 5 cm ahead) and gripper (-1 opens, +1 closes). The reward is 1 on success,
+    which ends the episode.
+
+    Args:
+        settings: The task and how it is drawn.
+
+    Raises:
+        ConfigError: The settings name an unknown or ambiguous task or profile.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
+    render_mode = "rgb_array"
+
+    def __init__(self, settings: EnvSettings) -> None:
+        tasks = tasks_named(settings.task)
+        if len(tasks) != 1:
+            raise ConfigError(f"{settings.task!r} names {len(tasks)} tasks; one environment runs exactly one.")
+        profile_named(settings.render_profile)
+        self.settings = settings
+        self._task = tasks[0]
+        self.task = self._task.name
+        self.task_description = self._task.description
+        self._max_episode_steps = settings.max_steps or self._task.max_steps
+        size = settings.image_size
+        image = gym.spaces.Box(0, 255, (size, size, 3), np.uint8)
+        self.observation_space = gym.spaces.Dict(
+            {
+                "pixels": gym.spaces.Dict(dict.fromkeys(CAMERAS, image)),
+                "agent_pos": gym.spaces.Box(-np.inf, np.inf, (len(STATE_NAMES),), np.float32),
+                "render_profile": gym.spaces.Box(0, len(PROFILES), (1,), np.float32),
+            }
+        )
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)
+        self._simulation: TabletopEnv | None = None
+        self._renderer: CameraRenderer | None = None
+        self._steps = 0
+
+    @property
+    def simulation(self) -> "TabletopEnv":
+        """The robosuite environment, made on first use.
+
+        Raises:
+            SimulatorError: The simulator is missing or unsupported.
+        """
+        if self._simulation is None:
+            self._simulation = open_simulation(self._task)
+        return self._simulation
+
+    @property
+    def state(self) -> "SimulationState":
+        """The true state, for demonstrators and scores; a policy must not see it."""
+        return self.simulation.state
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode, including its settle steps.
+
+        Args:
+            seed: Determines every random choice of this episode, whatever ran before.
+            options: Ignored; LeRobot marks the start of a rollout with it.
+        """
+        super().reset(seed=seed)
+        self._steps = 0
+        self.simulation.reset_with(self.np_random)
+        for _ in range(SETTLE_STEPS):
+            self.simulation.step(np.array([0.0, 0.0, 0.0, -1.0]))
+        return self._observe(), {"is_success": self.simulation.succeeded()}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Advances one control step (50 ms).
+
+        Args:
+            action: (4,) float; clipped to [-1, 1].
+
+        Raises:
+            SimulatorError: The action or the simulation is not finite.
+        """
+        if not np.isfinite(action).all():
+            raise SimulatorError(f"Step {self._steps} of {self.task}: the action is not finite: {action}.")
+        self.simulation.step(np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
+        self._steps += 1
+        if not self.state.finite():
+            raise SimulatorError(f"Step {self._steps} of {self.task}: the simulation diverged to NaN or infinity.")
+        self.simulation.scene.update(self.state)
+        success = self.simulation.succeeded()
+        truncated = self._steps >= self._max_episode_steps and not success
+        return self._observe(), float(success), success, truncated, {"is_success": success}
+
+    def render(self) -> NDArray[np.uint8]:
+        """Draws the workspace camera: ``(H, W, 3)`` uint8."""
+        return self._draw(CAMERAS["agentview"])
+
+    def close(self) -> None:
+        """Frees the renderer and the simulation; may be called twice."""
+        if self._renderer is not None:
+            self._renderer.close()
+        if self._simulation is not None:
+            self._simulation.close()
+        self._renderer = self._simulation = None
+
+    def _draw(self, camera: str) -> NDArray[np.uint8]:
+        if self._renderer is None:
+            self._renderer = open_renderer(self.simulation, self.settings.render_profile, self.settings.image_size)
+        return self._renderer.render(camera)
+
+    def _observe(self) -> Observation:
+        state = self.state
+        return {
+            "pixels": {name: self._draw(camera) for name, camera in CAMERAS.items()},
+            "agent_pos": np.concatenate([state.arm, state.fingers, state.hand]).astype(np.float32),
+            "render_profile": np.array([list(PROFILES).index(self.settings.render_profile)], dtype=np.float32),
+        }

@@ -1,0 +1,88 @@
+"""The Multitask-Kitchen scene: three tasks in three variants around a cabinet, a stove with its button, and a pot."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..tasks import KitchenStart
+from .furniture import button, cabinet, cube, pot, serving_region, stove
+from .primitives import Primitive
+from .state import SimulationState
+
+STOVE = (0.03, 0.18, 0.895)
+BUTTON = (-0.14, 0.20, 0.895)
+SERVING_REGION = (0.15, -0.02, 0.878)
+CABINET = (-0.05, -0.30, 0.905)
+
+_HALF_TURN = (0.0, 0.0, 0.0, 1.0)
+_CUBE_HALF_SIZE = (0.015, 0.023, 0.020)
+_CUBE_YAW = -np.pi / 2
+_POT_HEIGHT = 0.9035
+_DRAWER_OPEN = -0.10
+# The zoo writes -0.4, beyond the hinge's range, from which this MuJoCo springs back; -0.25 stays.
+_LEVER_OFF = -0.25
+
+
+@dataclass(frozen=True)
+class MultitaskKitchen:
+    """One variant of one task of the Multitask-Kitchen.
+
+    Attributes:
+        start: How drawer, stove and cube start.
+        goal: Facts that must all hold.
+    """
+
+    start: KitchenStart
+    goal: tuple[str, ...]
+    table_length: float = 1.0
+
+    def objects(self) -> list[Primitive]:
+        """Builds the fixtures, the pot and the cube."""
+        return [
+            cabinet(CABINET, _HALF_TURN, "ceramic", extra_posts=True),
+            stove(STOVE),
+            button(BUTTON),
+            serving_region(SERVING_REGION),
+            pot(),
+            cube(_CUBE_HALF_SIZE, "bread"),
+        ]
+
+    def place(self, state: SimulationState, rng: np.random.Generator) -> None:
+        """Draws and writes the start positions, ranges after the task zoo.
+
+        Every variant draws the same numbers in the same order, so that a seed means the same pot in each of them.
+        """
+        pot_at = np.array([rng.uniform(0.01, 0.05), rng.uniform(-0.02, 0.02), _POT_HEIGHT])
+        pot_yaw = rng.uniform(-0.1, 0.1)
+        lever_on = rng.uniform(0.1, 0.3)
+        cube_on_table = np.array([rng.uniform(-0.25, -0.21), rng.uniform(0.04, 0.08), 0.93])
+        cube_in_pot = pot_at + np.array([*rng.uniform(-0.01, 0.01, 2), 0.030])
+        state.set_pose("pot", pot_at, pot_yaw)
+        state.set_pose("cube", cube_in_pot if self.start.cube_in_pot else cube_on_table, _CUBE_YAW)
+        state.set_joint("button_hinge", lever_on if self.start.stove_on else _LEVER_OFF)
+        state.set_joint("cabinet_slide", _DRAWER_OPEN if self.start.drawer_open else 0.0)
+
+    def update(self, state: SimulationState) -> None:
+        """Shows the flame while the stove is on."""
+        state.show("stove_flame_visual", stove_on(state))
+
+    def facts(self, state: SimulationState) -> dict[str, bool]:
+        """Evaluates the predicates of the paper's goals; a cube that only touches the pot's outside is not in it."""
+        pot_at, cube_at = state.position("pot_main"), state.position("cube_main")
+        to_region = np.abs(pot_at - np.array(SERVING_REGION))
+        to_cube = np.abs(pot_at - cube_at)
+        return {
+            "drawer_closed": state.joint("cabinet_slide") > -0.01,
+            "stove_on": stove_on(state),
+            "stove_off": not stove_on(state),
+            "cube_in_pot": bool(state.touching("cube", "pot") and np.hypot(*to_cube[:2]) < 0.06 and to_cube[2] < 0.05),
+            "pot_on_stove": bool(
+                abs(pot_at[0] - 0.05) < 0.08 and abs(pot_at[1] - 0.20) < 0.08 and 0.90 < pot_at[2] < 0.925
+            ),
+            "pot_in_region": bool((to_region < (0.05, 0.10, 0.05)).all()),
+        }
+
+
+def stove_on(state: SimulationState) -> bool:
+    """Tells whether the lever switches the stove on: hinge at or beyond its middle."""
+    return state.joint("button_hinge") >= 0.0

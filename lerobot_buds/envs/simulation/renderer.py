@@ -1,0 +1,71 @@
+"""Renders cameras with `mujoco.Renderer`, which makes its own OpenGL context current before it draws.
+
+robosuite's renderer does not: two of its environments in one process draw into each other's images.
+"""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rendering import RenderProfile
+
+_DRAWN, _HIDDEN = 1, 4
+_ARM_COLOUR = (0.82, 0.82, 0.84, 1.0)
+_HAND_COLOUR = (0.25, 0.25, 0.28, 1.0)
+
+
+class CameraRenderer:
+    """Draws the cameras of one simulation.
+
+    It belongs to the process and thread that makes it. Close it before the interpreter ends.
+
+    Args:
+        sim: robosuite's simulation; the looks of its compiled model are changed to fit the profile.
+        profile: What to draw.
+        size: Height and width of the images (pixels).
+    """
+
+    def __init__(self, sim: Any, profile: RenderProfile, size: int) -> None:
+        self._model, self._data = sim.model._model, sim.data._data
+        _apply(profile, self._model)
+        self._renderer = mujoco.Renderer(self._model, height=size, width=size)
+        self._options = mujoco.MjvOption()
+        self._options.geomgroup[:] = 0
+        self._options.geomgroup[_DRAWN] = 1
+        self._options.sitegroup[:] = 0
+
+    def render(self, camera: str) -> NDArray[np.uint8]:
+        """Draws one camera, top row first.
+
+        Args:
+            camera: A camera's name in the model.
+
+        Returns:
+            ``(H, W, 3)`` uint8 RGB.
+        """
+        self._renderer.update_scene(self._data, camera=camera, scene_option=self._options)
+        image: NDArray[np.uint8] = self._renderer.render()
+        return image
+
+    def close(self) -> None:
+        """Frees the OpenGL context; may be called twice."""
+        self._renderer.close()
+
+
+def _apply(profile: RenderProfile, model: Any) -> None:
+    model.vis.quality.offsamples = profile.multisampling
+    if not profile.reflections:
+        model.mat_reflectance[:] = 0.0
+    if not profile.collision_meshes:
+        return
+    for geom in range(model.ngeom):
+        body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom])
+        if not body.startswith(("robot0_", "gripper0_", "fixed_mount0_")):
+            continue
+        collides = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+        model.geom_group[geom] = _DRAWN if collides else _HIDDEN
+        if collides:
+            model.geom_matid[geom] = -1
+            model.geom_rgba[geom] = _HAND_COLOUR if body.startswith("gripper0_") else _ARM_COLOUR
