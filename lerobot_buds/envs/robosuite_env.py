@@ -147,7 +147,7 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
             raise SimulatorError(f"Step {self._steps} of {self.task}: the action is not finite: {action}.")
         self.simulation.step(np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
         self._steps += 1
-        if not self.state.finite():
+        if self.state.diverged():
             raise SimulatorError(f"Step {self._steps} of {self.task}: the simulation diverged to NaN or infinity.")
         self.simulation.scene.update(self.state)
         success = self.simulation.succeeded()

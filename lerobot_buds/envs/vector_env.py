@@ -155,7 +155,8 @@ class EpisodeVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
 
     def _observations(self) -> Observation:
         space = self.single_observation_space
-        return cast(Observation, concatenate(space, self._last, create_empty_array(space, n=self.num_envs)))
+        out = cast(Observation, create_empty_array(space, n=self.num_envs))
+        return cast(Observation, concatenate(space, self._last, out))
 
     def _info(self) -> dict[str, Any]:
         return {"is_success": self._success.copy(), "error": np.array(self._errors, dtype=object)}

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,6 +86,10 @@ class SimulationState:
         """Shows or hides a geom through its opacity."""
         self._sim.model.geom_rgba[self._sim.model.geom_name2id(geom)][3] = float(visible)
 
-    def finite(self) -> bool:
-        """Tells whether no position or velocity of the simulation is NaN or infinite."""
-        return bool(np.isfinite(self._sim.data.qpos).all() and np.isfinite(self._sim.data.qvel).all())
+    def diverged(self) -> bool:
+        """Tells whether MuJoCo met NaN, infinite or huge values since the reset.
+
+        MuJoCo then resets the simulation by itself and goes on, so that finite numbers alone prove nothing.
+        """
+        bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+        return any(self._sim.data.warning[kind].number for kind in bad)
