@@ -1,1 +1,25 @@
-"""The robosuite tasks as LeRobot environments."""
+"""The robosuite tasks as LeRobot environments. Importing this loads neither LeRobot nor the simulator."""
+
+from .rendering import PROFILES, RenderProfile, profile_named
+from .robosuite_env import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, Observation, RobosuiteEnv
+from .tasks import TASKS, Task, tasks_named
+from .vector_env import EpisodeVectorEnv
+from .view import SimulationView
+
+__all__ = [
+    "ACTION_NAMES",
+    "CAMERAS",
+    "FPS",
+    "PROFILES",
+    "STATE_NAMES",
+    "TASKS",
+    "EnvSettings",
+    "EpisodeVectorEnv",
+    "Observation",
+    "RenderProfile",
+    "RobosuiteEnv",
+    "SimulationView",
+    "Task",
+    "profile_named",
+    "tasks_named",
+]

@@ -1,0 +1,66 @@
+"""``lerobot-buds-collect``: records scripted demonstrations of a robosuite task into a LeRobotDataset."""
+
+import os
+from dataclasses import dataclass
+
+import draccus
+
+from ..demos.recording import Recording, Summary, record
+from ..envs import EnvSettings, profile_named, tasks_named
+from .running import dataset_root, run
+
+
+@dataclass
+class CollectConfig:
+    """Settings of a recording.
+
+    Attributes:
+        repo_id: The dataset's name, for example ``me/close_and_serve``.
+        task: The task's name.
+        episodes: Number of successful demonstrations wanted.
+        root: The dataset's folder; None for LeRobot's own place for `repo_id`.
+        seed: Seed of the first attempt; below 100,000, where evaluation seeds begin.
+        workers: Parallel processes; 0 for one a core.
+        image_size: Height and width of both cameras (pixels).
+        render_profile: What is drawn: ``fast``, ``fastest`` or ``full``.
+        video: Stores the cameras as video, else as images.
+    """
+
+    repo_id: str
+    task: str = "multitask_kitchen/task3_variant1"
+    episodes: int = 40
+    root: str | None = None
+    seed: int = 0
+    workers: int = 0
+    image_size: int = 128
+    render_profile: str = "fast"
+    video: bool = True
+
+
+def collect(config: CollectConfig) -> Summary:
+    """Records the demonstrations that the settings ask for."""
+    (task,) = tasks_named(config.task)
+    profile_named(config.render_profile)
+    return record(
+        Recording(
+            repo_id=config.repo_id,
+            root=dataset_root(config.repo_id, config.root),
+            settings=EnvSettings(task.name, None, config.image_size, config.render_profile),
+            episodes=config.episodes,
+            seed=config.seed,
+            workers=config.workers or len(os.sched_getaffinity(0)),
+            video=config.video,
+        )
+    )
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    config = draccus.parse(CollectConfig)
+    summary = run(lambda: collect(config))
+    print(
+        f"{summary.episodes} demonstrations, {summary.frames} frames, from {summary.attempts} attempts "
+        f"in {summary.seconds:.0f} s"
+    )
+    for failure, count in summary.failures.items():
+        print(f"  {count} failed in {failure}")

@@ -1,0 +1,128 @@
+"""The motions that scripted demonstrators are made of: closed-loop, at human speed, with human-like variety.
+
+A motion is a generator of actions: it reads the present state before each action it yields, so slips and noise are
+corrected the way a person corrects them, by looking.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core import BudsError
+from ..envs import SimulationView
+
+Vec = NDArray[np.float64]
+Action = NDArray[np.float32]
+Target = Callable[[], Vec]
+
+STEP_REACH = 0.05
+"""Displacement that an action of 1 aims at (m)."""
+
+_GAIN = 2.0
+_PATIENCE = 250
+_TREMOR_MEMORY = 0.8
+
+
+class MotionFailedError(BudsError):
+    """A motion did not reach its end in time; the attempt is a failed one."""
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a demonstrator moves in one episode.
+
+    Attributes:
+        speed: Mean speed cap of a motion, in action units: 0.625 is the SpaceMouse's limit, 1 is 0.27 m/s.
+        tremor: Standard deviation of the correlated noise on the hand's command, in action units.
+        curve: How far paths bow sideways, as a fraction of the way to go.
+        hesitation: Chance that a motion is interrupted by a short pause.
+    """
+
+    speed: float
+    tremor: float
+    curve: float
+    hesitation: float
+
+
+def draw_manner(rng: np.random.Generator) -> Manner:
+    """Draws one episode's manner. Ranges are ours: within SpaceMouse limits, with the paper's demonstration lengths."""
+    return Manner(
+        speed=rng.uniform(0.40, 0.62),
+        tremor=rng.uniform(0.02, 0.08),
+        curve=rng.uniform(0.0, 0.25),
+        hesitation=0.15,
+    )
+
+
+class Demonstrator:
+    """A scripted demonstrator's hand during one episode.
+
+    Args:
+        state: The true state of the simulation.
+        rng: Source of all variety.
+    """
+
+    def __init__(self, state: SimulationView, rng: np.random.Generator) -> None:
+        self.state, self.rng = state, rng
+        self.manner = draw_manner(rng)
+        self._tremor: Vec = np.zeros(3)
+
+    def jitter(self, spread: float) -> Vec:
+        """Draws a displacement (m), uniform within ``spread`` along each axis, shape (3,)."""
+        return self.rng.uniform(-spread, spread, 3)
+
+    def move(
+        self,
+        target: Target,
+        closed: bool,
+        tolerance: float = 0.012,
+        until: Callable[[], bool] | None = None,
+        haste: float = 1.0,
+    ) -> Iterator[Action]:
+        """Moves the hand to a target that is looked at anew at every step.
+
+        Args:
+            target: Gives the position to reach (m), shape (3,).
+            closed: Keeps the gripper closed, else open.
+            tolerance: Distance at which the target counts as reached (m).
+            until: Ends the motion instead of the tolerance, where given.
+            haste: Factor on this motion's speed.
+
+        Raises:
+            MotionFailedError: The end was not reached within 12 seconds.
+        """
+        speed = haste * self.manner.speed * self.rng.uniform(0.8, 1.2)
+        start = target() - self.state.hand
+        bow = self.manner.curve * self.rng.uniform(-1, 1) * np.cross(start, [0.0, 0.0, 1.0])
+        distance = float(np.linalg.norm(start)) + 1e-9
+        pause_at = self.rng.uniform(0.2, 0.8) * distance if self.rng.random() < self.manner.hesitation else -1.0
+        for _ in range(_PATIENCE):
+            error = target() - self.state.hand
+            left = float(np.linalg.norm(error))
+            if until() if until is not None else left < tolerance:
+                return
+            if left < pause_at:
+                pause_at = -1.0
+                yield from self.hold(int(self.rng.integers(3, 8)), closed)
+            # The bow is widest half way and gone at both ends.
+            progress = min(left / distance, 1.0)
+            aim = error + 4.0 * bow * progress * (1.0 - progress)
+            yield self._command(aim, speed, closed)
+        raise MotionFailedError("the hand did not arrive within 12 seconds")
+
+    def hold(self, steps: int, closed: bool) -> Iterator[Action]:
+        """Stays where it is for some control steps, while the gripper closes or opens."""
+        place = self.state.hand
+        for _ in range(steps):
+            yield self._command(place - self.state.hand, self.manner.speed, closed)
+
+    def _command(self, aim: Vec, speed: float, closed: bool) -> Action:
+        # Held against the direction of motion, so that the path stays straight at the speed cap.
+        wish = _GAIN * aim / STEP_REACH
+        wish *= min(1.0, speed / (float(np.linalg.norm(wish)) + 1e-9))
+        # The stationary deviation of this process is `tremor`.
+        fresh = np.sqrt(1.0 - _TREMOR_MEMORY**2) * self.manner.tremor
+        self._tremor = _TREMOR_MEMORY * self._tremor + self.rng.normal(0.0, fresh, 3)
+        return np.append(np.clip(wish + self._tremor, -1.0, 1.0), 1.0 if closed else -1.0).astype(np.float32)

@@ -1,0 +1,249 @@
+"""Records scripted demonstrations into a LeRobotDataset: in parallel, resumable, the same for any number of workers.
+
+Attempts run in worker processes and are staged one file each beside the dataset. The episodes are the first successful
+attempts in the order of their seeds. When there are enough, one writer makes the dataset in a staging folder and
+renames it into place. A kill loses the attempts in flight, or the writing, and nothing else.
+"""
+
+import logging
+import os
+import shutil
+import time
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from functools import partial
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from ..core import (
+    ACTION,
+    COLLECTION_FILE,
+    IMAGE_PREFIX,
+    STATE,
+    TRUE_STAGE,
+    BudsError,
+    DatasetError,
+    read_json,
+    staged_directory,
+    write_atomically,
+    write_json,
+)
+from ..envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, tasks_named
+from .attempts import Attempt, attempt_in_worker
+
+if TYPE_CHECKING:
+    from lerobot.datasets import LeRobotDataset
+
+logger = logging.getLogger(__name__)
+
+RECORD_VERSION = 1
+EVALUATION_SEEDS = 100_000
+"""Seeds from here on are for evaluation, never for demonstrations."""
+
+_HOPELESS_AFTER = 20
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What to record.
+
+    Attributes:
+        repo_id: The dataset's name.
+        root: The dataset's folder, which must not exist.
+        settings: The environment.
+        episodes: Number of successful demonstrations wanted.
+        seed: Seed of the first attempt; each further attempt takes the next one.
+        workers: Processes.
+        video: Stores the cameras as video (small, for the Hub), else as images (faster to load).
+    """
+
+    repo_id: str
+    root: Path
+    settings: EnvSettings
+    episodes: int
+    seed: int
+    workers: int
+    video: bool
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a recording came to.
+
+    Attributes:
+        episodes: Demonstrations in the dataset.
+        attempts: Attempts behind them.
+        failures: Failed attempts by stage and reason.
+        frames: Frames in the dataset.
+        seconds: Time that this call took (s).
+    """
+
+    episodes: int
+    attempts: int
+    failures: dict[str, int]
+    frames: int
+    seconds: float
+
+
+def record(recording: Recording) -> Summary:
+    """Records demonstrations, or goes on where an earlier call of the same settings was interrupted.
+
+    Raises:
+        DatasetError: The dataset exists, or another process is recording it.
+        BudsError: The demonstrator fails most of its attempts, or a worker process died.
+    """
+    began = time.monotonic()
+    if recording.root.exists():
+        raise DatasetError(f"{recording.root} exists already. Remove it or choose another --root.")
+    if recording.seed + 2 * recording.episodes >= EVALUATION_SEEDS:
+        raise BudsError(f"Seeds from {EVALUATION_SEEDS} on are for evaluation; choose a smaller --seed.")
+    staging = recording.root.with_name(f".{recording.root.name}.attempts")
+    staging.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(staging.with_suffix(".lock"))
+    try:
+        with lock.acquire(blocking=False):
+            _claim(staging, recording)
+            attempts = list(_attempts(staging, recording))
+            frames = _write_dataset(staging, recording, attempts)
+            shutil.rmtree(staging)
+    except Timeout:
+        raise DatasetError(f"Another process is recording {recording.root}; wait for it to end.") from None
+    failures = Counter(a.failure for a in attempts if not a.success)
+    return Summary(recording.episodes, len(attempts), dict(failures), frames, time.monotonic() - began)
+
+
+def _claim(staging: Path, recording: Recording) -> None:
+    """Refuses to mix attempts of different settings in one staging folder."""
+    wanted = {"settings": asdict(recording.settings), "seed": recording.seed}
+    claim = staging / "settings.json"
+    if claim.exists() and read_json(claim) != wanted:
+        raise DatasetError(
+            f"{staging} holds attempts of an interrupted recording with other settings. Remove it to start over."
+        )
+    write_json(claim, wanted)
+
+
+def _attempts(staging: Path, recording: Recording) -> Iterator[Attempt]:
+    """Yields attempts in the order of their seeds, without their arrays, until enough of them succeeded."""
+    bar = tqdm(total=recording.episodes, desc="demonstrations", unit="episode", dynamic_ncols=True)
+    done = failed = 0
+    pool = ProcessPoolExecutor(recording.workers, mp_context=get_context("spawn"))
+    try:
+        pending: list[Future[Attempt]] = []
+        next_seed = recording.seed
+        while done < recording.episodes:
+            while len(pending) < min(2 * recording.workers, recording.episodes - done):
+                pending.append(pool.submit(_staged_attempt, staging, recording.settings, next_seed))
+                next_seed += 1
+            result = pending.pop(0).result()
+            done, failed = done + result.success, failed + (not result.success)
+            bar.update(int(result.success))
+            bar.set_postfix(failed=failed)
+            if failed > _HOPELESS_AFTER and failed > done:
+                raise BudsError(f"The demonstrator failed {failed} of {done + failed} attempts: {result.failure}.")
+            yield result
+    except BrokenProcessPool as error:
+        raise BudsError("A worker process died (out of memory?). Run the same command again to go on.") from error
+    finally:
+        bar.close()
+        pool.shutdown(cancel_futures=True)
+
+
+def _staged_attempt(staging: Path, settings: EnvSettings, seed: int) -> Attempt:
+    """Runs one attempt in a worker and stages it, unless an earlier run did."""
+    outcome = staging / f"{seed:06d}.json"
+    if outcome.exists():
+        return Attempt(**read_json(outcome))
+    result = attempt_in_worker(settings, seed)
+    if result.success:
+        write_atomically(_arrays_file(staging, seed), partial(_save_arrays, result.arrays))
+    write_json(outcome, {"seed": seed, "success": result.success, "failure": result.failure})
+    return Attempt(seed, result.success, result.failure)
+
+
+def _arrays_file(staging: Path, seed: int) -> Path:
+    return staging / f"{seed:06d}.npz"
+
+
+def _save_arrays(arrays: dict[str, NDArray[Any]], path: Path) -> None:
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _write_dataset(staging: Path, recording: Recording, attempts: list[Attempt]) -> int:
+    os.environ.setdefault("SVT_LOG", "1")  # errors only; the encoder describes itself at length otherwise
+    from datasets import disable_progress_bars
+    from lerobot.datasets import LeRobotDataset
+
+    disable_progress_bars()
+    chosen = [a.seed for a in attempts if a.success]
+    frames = 0
+    with staged_directory(recording.root) as folder:
+        dataset = LeRobotDataset.create(
+            repo_id=recording.repo_id,
+            root=folder,
+            fps=FPS,
+            robot_type="panda",
+            features=_features(recording),
+            use_videos=recording.video,
+            streaming_encoding=recording.video,
+            encoder_queue_maxsize=10_000,  # a full queue would silently drop frames: longer than any episode
+            image_writer_threads=0 if recording.video else 4,
+        )
+        for seed in tqdm(chosen, desc="writing the dataset", unit="episode", dynamic_ncols=True):
+            with np.load(_arrays_file(staging, seed), allow_pickle=False) as arrays:
+                frames += _write_episode(dataset, dict(arrays), recording)
+        dataset.finalize()
+        write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
+    return frames
+
+
+def _write_episode(dataset: "LeRobotDataset", arrays: dict[str, NDArray[Any]], recording: Recording) -> int:
+    description = tasks_named(recording.settings.task)[0].description
+    columns = {IMAGE_PREFIX + camera: arrays[camera] for camera in CAMERAS}
+    columns |= {STATE: arrays["agent_pos"], ACTION: arrays["action"], TRUE_STAGE: arrays["true_stage"]}
+    length = len(arrays["action"])
+    for t in range(length):
+        dataset.add_frame({name: column[t] for name, column in columns.items()} | {"task": description})
+    dataset.save_episode()
+    return length
+
+
+def _features(recording: Recording) -> dict[str, dict[str, Any]]:
+    size = recording.settings.image_size
+    image = {
+        "dtype": "video" if recording.video else "image",
+        "shape": (size, size, 3),
+        "names": ["height", "width", "channels"],
+    }
+    return {
+        **{IMAGE_PREFIX + camera: image for camera in CAMERAS},
+        STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": STATE_NAMES},
+        ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": ACTION_NAMES},
+        TRUE_STAGE: {"dtype": "int64", "shape": (1,), "names": None},
+    }
+
+
+def _collection_record(recording: Recording, attempts: list[Attempt]) -> dict[str, Any]:
+    task = tasks_named(recording.settings.task)[0]
+    return {
+        "version": RECORD_VERSION,
+        "demonstrator": "scripted",
+        "task": task.name,
+        "stages": list(task.stages),
+        "render_profile": recording.settings.render_profile,
+        "image_size": recording.settings.image_size,
+        "episode_seeds": [a.seed for a in attempts if a.success],
+        "failed_attempts": [{"seed": a.seed, "failure": a.failure} for a in attempts if not a.success],
+        "versions": {name: version(name) for name in ("lerobot_policy_buds", "lerobot", "robosuite", "mujoco")},
+    }
