@@ -22,7 +22,8 @@ def close_drawer(hand: Demonstrator) -> Iterator[Action]:
     before = np.array([0.0, 0.07, 0.004])
 
     def before_bar() -> Vec:
-        return state.point_on("cabinet_drawer", _HANDLE_BAR) + before + offset
+        bar: Vec = state.point_on("cabinet_drawer", _HANDLE_BAR) + before + offset
+        return bar
 
     yield from hand.hold(4, closed=True)
     yield from hand.move(before_bar, closed=True, tolerance=0.02)

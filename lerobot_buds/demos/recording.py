@@ -182,9 +182,11 @@ def _save_arrays(arrays: dict[str, NDArray[Any]], path: Path) -> None:
 
 def _write_dataset(staging: Path, recording: Recording, attempts: list[Attempt]) -> int:
     os.environ.setdefault("SVT_LOG", "1")  # errors only; the encoder describes itself at length otherwise
+    import av.logging
     from datasets import disable_progress_bars
     from lerobot.datasets import LeRobotDataset
 
+    av.logging.set_level(av.logging.ERROR)
     disable_progress_bars()
     chosen = [a.seed for a in attempts if a.success]
     frames = 0
