@@ -87,8 +87,8 @@ def require_whole(table: FrameTable) -> None:
     if not table.present.all():
         first = table.locate(int(np.argmin(table.present)))
         raise DatasetError(
-            f"{table.root}: {int((~table.present).sum())} of {len(table.present)} rows are not on this machine, the first "
-            f"is {first}. Download the whole dataset."
+            f"{table.root}: {int((~table.present).sum())} of {len(table.present)} rows are not on this machine, the "
+            f"first is {first}. Download the whole dataset."
         )
 
 
@@ -150,6 +150,6 @@ def _check_clock(table: FrameTable) -> None:
         row = int(late[0])
         raise DatasetError(
             f"{table.root}: the timestamp of {table.locate(row)} is {table.columns['timestamp'][row]:.6f} s, but "
-            f"frame_index / fps is {expected[row] / table.fps:.6f} s (fps {table.fps}). Re-record at a constant rate, or "
-            "correct fps in meta/info.json."
+            f"frame_index / fps is {expected[row] / table.fps:.6f} s (fps {table.fps}). Re-record at a constant "
+            "rate, or correct fps in meta/info.json."
         )

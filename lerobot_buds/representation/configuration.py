@@ -15,7 +15,7 @@ class RepresentationConfig:
         cameras: Image features to fuse; all cameras of the dataset where None, none of them where empty.
         proprioception: Shell-style patterns of the ``observation.state`` names to fuse; none where empty. Where no name
             matches, all dimensions are used. Default: end effector position and gripper fingers (code).
-        image_size: Side of the square images the network sees (pixels), box-downscaled from the stored ones (128: code).
+        image_size: Side of the square images the network sees (pixels), box-downscaled from the stored (128: code).
         latent_dim: Size of the latent (32: code).
         kl_weight: Weight of the KL divergence against the squared errors summed over 128 x 128 pixels (0.05: code).
         steps: Number of gradient steps (ours; the notes train 1000 epochs, or until the second plateau of the loss).

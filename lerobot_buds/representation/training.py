@@ -139,9 +139,10 @@ class _Run:
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         batch = self.inputs.batch(self.batches.at(step), self.accelerator.device)
-        self.terms = self.network(batch, self._noise(batch, _NOISE, step), self.config.kl_weight)
+        terms = self.network(batch, self._noise(batch, _NOISE, step), self.config.kl_weight)
         self.optimizer.zero_grad()
-        self.accelerator.backward(self.terms["loss"])
+        self.accelerator.backward(terms["loss"])
+        self.terms = {name: value.detach() for name, value in terms.items()}
         self.optimizer.step()
 
     def report(self, step: int) -> None:
