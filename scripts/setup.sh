@@ -77,8 +77,8 @@ check_rendering() {
 import mujoco
 with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as renderer:
     renderer.render()' >/dev/null 2>$venv/render.log ||
-    stop "MuJoCo cannot render here ($(tail -n 1 $venv/render.log)); run: sudo apt-get install libegl1" \
-      "libgl1-mesa-dri libopengl0; then make setup"
+    stop "MuJoCo cannot render here ($(grep -m 1 '^[A-Za-z.]*Error: ' $venv/render.log)); run:" \
+      "sudo apt-get install libegl1 libgl1-mesa-dri libopengl0, then: make setup"
 }
 
 python=$(find_python)
