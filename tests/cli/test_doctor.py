@@ -1,5 +1,8 @@
 """The doctor tells a broken installation from a sound one. Broken ones are described, not produced."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -126,3 +129,18 @@ def test_the_running_installation_is_described() -> None:
     assert any(r.startswith("lerobot[training]") for r in installation.requirements)
     assert list(installation.opencv_owners) == ["opencv-python-headless"]
     assert installation.free_bytes > 0
+
+
+@pytest.mark.parametrize(("backend", "said"), [("egl", "sound"), ("crayons", "MUJOCO_GL=crayons")])
+def test_the_probe_draws_or_says_why_not(backend: str, said: str) -> None:
+    script = (
+        "from lerobot_buds.core import SimulatorError\n"
+        "from lerobot_buds.envs.simulation.probe import render_frame\n"
+        "try:\n"
+        "    print('sound', render_frame(32).shape)\n"
+        "except SimulatorError as error:\n"
+        "    print(error)\n"
+    )
+    environment = {**os.environ, "MUJOCO_GL": backend}  # MuJoCo reads it once, at import: hence a process of its own
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert said in done.stdout

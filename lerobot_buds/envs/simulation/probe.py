@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from ...core import SimulatorError
 
 SCENE = '<mujoco><worldbody><geom type="sphere" size="0.3"/></worldbody></mujoco>'
-REMEDY = "install libegl1 and libgl1-mesa-dri (apt-get), or set MUJOCO_GL=osmesa and install libosmesa6"
 
 
 def render_frame(size: int = 64) -> NDArray[np.uint8]:
@@ -27,15 +26,19 @@ def render_frame(size: int = 64) -> NDArray[np.uint8]:
     try:
         import mujoco
 
+        drawing_errors = (ImportError, AttributeError, OSError, RuntimeError, mujoco.FatalError)
+    # No library and no such backend end in different ones of these.
+    except (ImportError, AttributeError, OSError, RuntimeError) as error:
+        raise SimulatorError(f"MuJoCo cannot be loaded with MUJOCO_GL={backend}: {error}") from error
+    try:
         model = mujoco.MjModel.from_xml_string(SCENE)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         with mujoco.Renderer(model, size, size) as renderer:
             renderer.update_scene(data)
             frame: NDArray[np.uint8] = renderer.render()
-    # No library, no driver and no such backend each end in another of these.
-    except (ImportError, AttributeError, OSError, RuntimeError) as error:
-        raise SimulatorError(f"MuJoCo cannot render with MUJOCO_GL={backend} ({error}): {REMEDY}.") from error
+    except drawing_errors as error:
+        raise SimulatorError(f"MuJoCo cannot render with MUJOCO_GL={backend}: {error}") from error
     if not frame.any():
-        raise SimulatorError(f"MuJoCo renders only black images with MUJOCO_GL={backend}: {REMEDY}.")
+        raise SimulatorError(f"MuJoCo renders nothing but black with MUJOCO_GL={backend}.")
     return frame
