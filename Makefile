@@ -1,0 +1,31 @@
+# Every target sets up what it needs first: in a fresh clone nothing else has to be typed.
+SHELL := /bin/bash
+READY := .venv/.ready
+BIN := .venv/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint doctor
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
+
+setup: ## install everything into .venv (and system packages, as root on Debian)
+	scripts/setup.sh
+
+demo: $(READY) ## collect, segment, train and evaluate one task; about 15 minutes on two cores
+	scripts/demo.sh
+
+test: $(READY) ## run all tests
+	$(BIN)/python -m pytest
+
+lint: $(READY) ## check style, types and import directions
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+doctor: $(READY) ## check the installation
+	$(BIN)/lerobot-buds-doctor
+
+$(READY): pyproject.toml uv.lock scripts/setup.sh
+	scripts/setup.sh

@@ -1,0 +1,146 @@
+"""The doctor tells a broken installation from a sound one. Broken ones are described, not produced."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lerobot_buds.cli.doctor import (
+    CHECKS,
+    DISTRIBUTION,
+    Installation,
+    check_decoder,
+    check_discovery,
+    check_disk,
+    check_opencv,
+    check_plugin,
+    check_rendering,
+    check_simulator,
+    check_versions,
+    examine,
+    this_installation,
+)
+from lerobot_buds.core import SimulatorError
+
+
+def refuse(*modules: str, error: type[Exception] = ImportError):
+    """A `load` under which some modules cannot be imported."""
+
+    def load(name: str) -> object:
+        if name in modules:
+            raise error(f"no {name} here\nand a long story")
+        return object()
+
+    return load
+
+
+def fail_to_render():
+    raise SimulatorError("MuJoCo cannot render: no libEGL.")
+
+
+SOUND = Installation(
+    plugins=["torch", DISTRIBUTION],
+    requirements=["lerobot[training]==0.6.1", "numpy>=2.0", 'mujoco<3.10,>=3.6; extra == "sim"'],
+    versions={"lerobot": "0.6.1", "numpy": "2.2.6", "mujoco": "3.9.0", "robosuite": "1.5.1"},
+    opencv_owners=["opencv-python-headless"],
+    free_bytes=100 * 2**30,
+    load=refuse(),
+    registered=lambda: (["act", "buds"], ["pusht", "robosuite"]),
+    render=lambda: np.ones((4, 6, 3), np.uint8),
+)
+
+
+def installed(**versions: str | None) -> Installation:
+    changed = {**SOUND.versions, **versions}
+    return replace(SOUND, versions={name: version for name, version in changed.items() if version})
+
+
+def test_a_sound_installation_has_nothing_to_remedy() -> None:
+    findings = list(examine(SOUND))
+    assert len(findings) == len(CHECKS)
+    assert {f.status for f in findings} == {"ok"}
+    assert not any(f.remedy for f in findings)
+
+
+@pytest.mark.parametrize(
+    ("check", "installation", "status", "said"),
+    [
+        (check_discovery, replace(SOUND, plugins=["torch"]), "FAIL", "not installed"),
+        (check_discovery, replace(SOUND, plugins=["lerobot-policy-buds"]), "FAIL", "LeRobot skips"),
+        (check_versions, installed(lerobot="0.7.0"), "FAIL", "lerobot 0.7.0 (needs ==0.6.1)"),
+        (check_versions, installed(numpy=None), "FAIL", "numpy is missing"),
+        (check_simulator, installed(robosuite=None, mujoco=None), "warning", "not installed"),
+        (check_simulator, installed(robosuite="1.5.2"), "FAIL", "robosuite 1.5.2 (needs ==1.5.1)"),
+        (check_simulator, installed(mujoco="3.10.0"), "FAIL", "mujoco 3.10.0 (needs <3.10,>=3.6)"),
+        (check_simulator, installed(mujoco="3.5.0"), "FAIL", "mujoco 3.5.0"),
+        (check_rendering, replace(SOUND, render=fail_to_render), "FAIL", "no libEGL"),
+        (check_decoder, replace(SOUND, load=refuse("torchcodec.decoders")), "warning", "pyav"),
+        (check_decoder, replace(SOUND, load=refuse("torchcodec.decoders", error=RuntimeError)), "warning", "pyav"),
+        (check_decoder, replace(SOUND, load=refuse("torchcodec.decoders", "av")), "FAIL", "pyav does not load"),
+        (check_opencv, replace(SOUND, opencv_owners=[]), "FAIL", "no distribution"),
+        (check_opencv, replace(SOUND, opencv_owners=["opencv-python"]), "FAIL", "opencv-python own"),
+        (
+            check_opencv,
+            replace(SOUND, opencv_owners=["opencv-python-headless", "opencv_python"]),
+            "FAIL",
+            "opencv-python and opencv-python-headless",
+        ),
+        (check_disk, replace(SOUND, free_bytes=5 * 2**30), "warning", "5.0 GiB free"),
+        (check_disk, replace(SOUND, free_bytes=2**20), "FAIL", "0.0 GiB free"),
+        (check_plugin, replace(SOUND, load=refuse(DISTRIBUTION)), "FAIL", "cannot be imported"),
+        (check_plugin, replace(SOUND, registered=lambda: (["act"], ["robosuite"])), "FAIL", "policy 'buds'"),
+        (check_plugin, replace(SOUND, registered=lambda: (["buds"], ["pusht"])), "FAIL", "environment 'robosuite'"),
+    ],
+)
+def test_a_broken_installation_is_named_in_one_line_with_its_remedy(check, installation, status, said) -> None:
+    finding = check(installation)
+    assert finding.status == status
+    assert said in finding.detail
+    assert finding.remedy
+    assert "\n" not in str(finding)
+    assert str(finding).startswith(status)
+
+
+def test_the_remedy_keeps_robosuite_from_bringing_a_second_opencv() -> None:
+    remedy = check_simulator(installed(robosuite="1.5.2", mujoco="3.10.0")).remedy
+    assert remedy == "pip install --no-deps 'robosuite==1.5.1' && pip install 'mujoco<3.10,>=3.6'"
+
+
+def test_a_fault_inside_the_plugin_is_not_swallowed_and_comes_last() -> None:
+    broken = replace(SOUND, load=refuse(DISTRIBUTION, error=ZeroDivisionError))
+    findings = examine(broken)
+    for _ in CHECKS[:-1]:
+        next(findings)
+    with pytest.raises(ZeroDivisionError):
+        next(findings)
+
+
+def test_a_machine_without_the_simulator_does_not_try_to_render() -> None:
+    bare = replace(installed(robosuite=None, mujoco=None), render=fail_to_render)
+    assert check_rendering(bare).status == "ok"
+
+
+def test_the_running_installation_is_described() -> None:
+    installation = this_installation()
+    assert installation.versions["lerobot"] == "0.6.1"
+    assert any(r.startswith("lerobot[training]") for r in installation.requirements)
+    assert list(installation.opencv_owners) == ["opencv-python-headless"]
+    assert installation.free_bytes > 0
+
+
+@pytest.mark.parametrize(("backend", "said"), [("egl", "sound"), ("crayons", "MUJOCO_GL=crayons")])
+def test_the_probe_draws_or_says_why_not(backend: str, said: str) -> None:
+    script = (
+        "from lerobot_buds.core import SimulatorError\n"
+        "from lerobot_buds.envs.simulation.probe import render_frame\n"
+        "try:\n"
+        "    print('sound', render_frame(32).shape)\n"
+        "except SimulatorError as error:\n"
+        "    print(error)\n"
+    )
+    environment = {**os.environ, "MUJOCO_GL": backend}  # MuJoCo reads it once, at import: hence a process of its own
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert said in done.stdout

@@ -1,0 +1,123 @@
+"""What holds for the project as a whole: the lock file, the wheel, the cost of importing, the size of the code."""
+
+import ast
+import subprocess
+import sys
+import tomllib
+from email.parser import Parser
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+from packaging.tags import sys_tags
+from packaging.utils import parse_wheel_filename
+
+ROOT = Path(__file__).parents[1]
+SOURCES = [*sorted((ROOT / "lerobot_buds").rglob("*.py")), ROOT / "lerobot_policy_buds.py"]
+MODULES = [pytest.param(path, id=str(path.relative_to(ROOT))) for path in SOURCES]
+
+
+@pytest.fixture(scope="module")
+def locked() -> list[dict]:
+    """The locked packages, less this one."""
+    packages = tomllib.loads((ROOT / "uv.lock").read_text())["package"]
+    return [package for package in packages if package["name"] != "lerobot-policy-buds"]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> ZipFile:
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    (path,) = folder.glob("*.whl")
+    return ZipFile(path)
+
+
+def test_the_lock_file_names_the_public_index_only(locked: list[dict]) -> None:
+    assert {package["source"].get("registry") for package in locked} == {"https://pypi.org/simple"}
+    urls = [file["url"] for package in locked for file in package["wheels"]]
+    assert all(url.startswith("https://files.pythonhosted.org/") for url in urls)
+
+
+def test_nothing_locked_has_to_be_compiled(locked: list[dict]) -> None:
+    ours = set(sys_tags())
+
+    def fits(url: str) -> bool:
+        return not ours.isdisjoint(parse_wheel_filename(url.rsplit("/", 1)[-1].replace("%2B", "+"))[3])
+
+    assert [p["name"] for p in locked if not any(fits(file["url"]) for file in p.get("wheels", ()))] == []
+
+
+def test_there_is_one_opencv(locked: list[dict]) -> None:
+    assert [p["name"] for p in locked if p["name"].startswith("opencv")] == ["opencv-python-headless"]
+
+
+def test_the_wheel_holds_the_package_and_its_entry_point(wheel: ZipFile) -> None:
+    names = set(wheel.namelist())
+    assert {str(path.relative_to(ROOT)) for path in SOURCES} <= names
+    assert "lerobot_buds/py.typed" in names
+    top_level = {name.split("/")[0] for name in names}
+    assert top_level == {"lerobot_buds", "lerobot_policy_buds.py", "lerobot_policy_buds-0.1.0.dist-info"}
+
+
+def test_the_metadata_keep_the_underscores_that_discovery_needs(wheel: ZipFile) -> None:
+    text = wheel.read("lerobot_policy_buds-0.1.0.dist-info/METADATA").decode()
+    metadata = Parser().parsestr(text)
+    assert metadata["Name"] == "lerobot_policy_buds"
+    assert "sim" in metadata.get_all("Provides-Extra")
+    assert not any(r.startswith(("robosuite", "opencv-python ")) for r in metadata.get_all("Requires-Dist"))
+
+
+def test_every_console_script_has_its_function(wheel: ZipFile) -> None:
+    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
+    for target in scripts.values():
+        module, function = target.split(":")
+        tree = ast.parse(wheel.read(module.replace(".", "/") + ".py"))
+        assert any(isinstance(node, ast.FunctionDef) and node.name == function for node in tree.body), target
+
+
+@pytest.mark.parametrize(
+    ("module", "heavy"),
+    [
+        ("lerobot_buds", {"lerobot", "mujoco", "robosuite", "sklearn", "torch"}),
+        ("lerobot_policy_buds", {"mujoco", "robosuite", "sklearn", "matplotlib.pyplot"}),
+    ],
+)
+def test_importing_stays_cheap(module: str, heavy: set[str]) -> None:
+    script = f"import sys, {module}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert heavy.isdisjoint(done.stdout.split())
+
+
+@pytest.mark.parametrize("path", MODULES)
+def test_public_code_is_documented(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    assert [name for name, node in public(tree, "module") if not ast.get_docstring(node)] == []
+
+
+@pytest.mark.parametrize("path", MODULES)
+def test_code_comes_in_small_pieces(path: Path) -> None:
+    text = path.read_text()
+    functions = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    assert len(text.splitlines()) <= 400
+    assert [f.name for f in functions if f.end_lineno - f.lineno + 1 > 60] == []
+
+
+def public(node: ast.Module | ast.ClassDef, name: str):
+    """Yields the module, its public classes and functions, and the public methods of those classes."""
+    yield name, node
+    for child in node.body:
+        if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and not child.name.startswith("_"):
+            overload = any(isinstance(d, ast.Name) and d.id in ("overload", "override") for d in child.decorator_list)
+            if isinstance(child, ast.ClassDef):
+                yield from public(child, child.name)
+            elif not overload and not is_setter(child):
+                yield child.name, child
+
+
+def is_setter(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    return any(isinstance(d, ast.Attribute) and d.attr == "setter" for d in function.decorator_list)
