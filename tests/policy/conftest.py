@@ -77,7 +77,8 @@ def dataset_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
         subgoals = start + subgoals_of(labels, HORIZON)
         for label, subgoal in zip(labels, subgoals, strict=True):
             # The colour tells the skill, so that ids can be learnt.
-            image = rng.integers(0, 100, (PIXELS, PIXELS, 3)) + 100 * label
+            image = rng.integers(0, 100, (PIXELS, PIXELS, 3))
+            image[..., label] += 150
             frame = {
                 WORKSPACE_CAMERA: image.astype(np.uint8),
                 EYE_IN_HAND_CAMERA: rng.integers(0, 256, (PIXELS, PIXELS, 3)).astype(np.uint8),

@@ -1,5 +1,6 @@
 """Runs LeRobot's own training script, unmodified: fresh, resumed, fine-tuned."""
 
+import logging
 import math
 import sys
 from pathlib import Path
@@ -24,6 +25,9 @@ def train(dataset_root, small, monkeypatch):
         forward = BudsPolicy.forward
 
         def recorded(policy, batch):
+            # LeRobot restores torch's generator on resume, but the new data loader draws its own seed from it; here
+            # the noise depends on the batch alone, so that runs can be compared to the last bit.
+            torch.manual_seed(sum(batch["index"].tolist()))
             loss, metrics = forward(policy, batch)
             calls.append({"keys": set(batch), "index": batch["index"].tolist(), "loss": loss.item(), **metrics})
             return loss, metrics
@@ -31,7 +35,9 @@ def train(dataset_root, small, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(BudsPolicy, "forward", recorded)
             patch.setattr(sys, "argv", ["lerobot-train", *map(str, arguments)])
+            level = logging.getLogger().level
             lerobot_train.main()
+            logging.getLogger().setLevel(level)
         return calls
 
     return train
@@ -78,7 +84,7 @@ def test_fresh_resumed_and_fine_tuned_runs_have_their_labels(train, fresh, tmp_p
         for call in calls:
             # What LeRobot keeps and drops: the reason for the lookup by index. True stages never come this far.
             assert "index" in call["keys"] and not call["keys"] & LABEL_COLUMNS
-            assert len(call["index"]) == 8 and math.isfinite(call["loss"])
+            assert math.isfinite(call["loss"])
             assert call.keys() == unbroken[0].keys()
     saved = BudsPolicy.from_pretrained(half).config
     assert (saved.n_skills, saved.fps, saved.history_dims) == (2, 20, [2, 3])
