@@ -1,1 +1,25 @@
-"""Skill discovery: hierarchical task structure, temporal segments, skill partition."""
+"""Skill discovery: hierarchical task structure, temporal segments, skill partition, and the labels in a dataset.
+
+Importing this folder loads neither torch, LeRobot nor matplotlib; the functions that need them do.
+"""
+
+from .discovery import DiscoveryConfig, SkillDiscovery
+from .record import SegmentationRecord, SourceDescription, check_labels, load_labels
+from .temporal import temporal_segments
+from .timeline import draw_timeline
+from .tree import TaskStructure, build_tree
+from .write import write_segmented_dataset
+
+__all__ = [
+    "DiscoveryConfig",
+    "SegmentationRecord",
+    "SkillDiscovery",
+    "SourceDescription",
+    "TaskStructure",
+    "build_tree",
+    "check_labels",
+    "draw_timeline",
+    "load_labels",
+    "temporal_segments",
+    "write_segmented_dataset",
+]

@@ -1,0 +1,104 @@
+"""Timeline picture: every demonstration is a row of coloured skills, with a thin strip of its true stages below."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lerobot_buds.core import DatasetError, IntArray, segments_of, write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Color = tuple[float, float, float, float]
+
+_ROW_INCHES = 0.3
+_MAX_ROWS_INCHES = 24.0
+
+
+def draw_timeline(
+    path: Path,
+    labels: Sequence[IntArray],
+    fps: float,
+    true_stages: Sequence[IntArray] | None = None,
+    title: str = "Skills of every demonstration",
+) -> None:
+    """Draws the segmentation of a dataset as a PNG, atomically.
+
+    Args:
+        path: The picture to create or replace.
+        labels: ``(T,)`` skill of every frame, per demonstration.
+        fps: Frame rate (frames per second).
+        true_stages: ``(T,)`` true stage of every frame, per demonstration, where these are known.
+        title: Title of the picture.
+
+    Raises:
+        DatasetError: Labels and true stages are not of the same demonstrations.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    if true_stages is not None and [len(s) for s in true_stages] != [len(e) for e in labels]:
+        raise DatasetError("Timeline: labels and true stages differ in the number of demonstrations or of frames.")
+    rows = min(_ROW_INCHES * max(len(labels), 3), _MAX_ROWS_INCHES)
+    figure = Figure(figsize=(11, rows + 1.4), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    split = 0.42 if true_stages is None else 0.22  # where the bars of skills end, below the centre of their row
+    _draw_rows(axes, labels, fps, "skills", bottom=-0.42, top=split)
+    if true_stages is not None:
+        _draw_rows(axes, true_stages, fps, "stages", bottom=split + 0.04, top=0.42)
+    _finish(figure, axes, labels, true_stages, title)
+    write_atomically(path, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))
+
+
+def _draw_rows(axes: "Axes", episodes: Sequence[IntArray], fps: float, kind: str, bottom: float, top: float) -> None:
+    colors = _colors(episodes, kind)
+    for row, episode in enumerate(episodes):
+        runs = segments_of(episode)
+        axes.broken_barh(
+            [(run.start / fps, run.length / fps) for run in runs],
+            (row + bottom, top - bottom),
+            facecolors=[colors[run.label] for run in runs],
+            edgecolor="white",
+            linewidth=0.6 if kind == "skills" else 0.0,
+        )
+
+
+def _finish(
+    figure: "Figure", axes: "Axes", labels: Sequence[IntArray], stages: Sequence[IntArray] | None, title: str
+) -> None:
+    from matplotlib.patches import Patch
+    from matplotlib.ticker import MaxNLocator
+
+    axes.set_ylim(len(labels) - 0.4, -0.6)  # the first demonstration is on top
+    axes.set_xlim(left=0)
+    axes.margins(x=0.01)
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("demonstration")
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=20, integer=True, min_n_ticks=1))
+    axes.tick_params(axis="y", length=0)
+    axes.grid(axis="x", color="0.88", linewidth=0.8)
+    axes.set_axisbelow(True)
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
+    handles = [Patch(color=color, label=f"skill {k}") for k, color in _colors(labels, "skills").items()]
+    if stages is not None:
+        handles += [Patch(color=color, label=f"true stage {k}") for k, color in _colors(stages, "stages").items()]
+    figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize="small")
+    axes.set_title(title, loc="left", fontsize="medium", fontweight="bold")
+
+
+def _colors(episodes: Sequence[IntArray], kind: str) -> dict[int, Color]:
+    """Chooses one colour per label: hues for skills, greys for stages, so that nobody reads a stage as a skill."""
+    from matplotlib import colormaps
+
+    names = np.unique(np.concatenate(episodes)).tolist()
+    if kind == "stages":
+        return {k: colormaps["Greys"](x) for k, x in zip(names, np.linspace(0.3, 0.95, len(names)), strict=True)}
+    if len(names) <= 20:
+        palette = colormaps["tab10" if len(names) <= 10 else "tab20"]
+        return {k: palette(i) for i, k in enumerate(names)}
+    return {k: colormaps["turbo"](x) for k, x in zip(names, np.linspace(0.03, 0.97, len(names)), strict=True)}

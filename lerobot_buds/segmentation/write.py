@@ -1,0 +1,181 @@
+"""Writes a segmented copy of a LeRobotDataset: two label columns, their statistics and the segmentation record.
+
+Invariants: the source is only read; the target appears whole or not at all; the same inputs give the same bytes.
+LeRobot is imported on use, so that importing this module stays cheap.
+"""
+
+import glob
+import logging
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from filelock import FileLock, Timeout
+from numpy.typing import NDArray
+
+from lerobot_buds.core import (
+    RECORD_DIR,
+    SEGMENTATION_FILE,
+    SKILL_ID,
+    SUBGOAL_INDEX,
+    DatasetError,
+    IntArray,
+    SegmentationError,
+    staged_directory,
+    subgoals_of,
+)
+
+from .record import SegmentationRecord, load_labels
+
+if TYPE_CHECKING:
+    from lerobot.datasets import LeRobotDataset
+
+FeatureStats = dict[str, NDArray[np.float64]]
+
+logger = logging.getLogger(__name__)
+
+_COLUMN = {"dtype": "int64", "shape": (1,), "names": None}
+_SPARE_BYTES = 16 * 1024**2
+"""Room for what is not copied: label columns, statistics, record, the file system's own needs."""
+
+
+def write_segmented_dataset(
+    source_root: Path, target_root: Path, target_repo_id: str, record: SegmentationRecord
+) -> None:
+    """Writes the labels of a record, with a copy of everything else, as a new dataset.
+
+    Besides LeRobot's own files the source's other records under ``meta/buds`` are carried over. What an earlier,
+    killed write left beside the target is removed.
+
+    Args:
+        source_root: Folder of the segmented dataset's source; whole, and without labels.
+        target_root: Folder to create; its parent is created where missing.
+        target_repo_id: Name of the new dataset.
+        record: The segmentation, made from this source; its labels become the columns.
+
+    Raises:
+        SegmentationError: The record does not fit the source, the source is labelled already, the target exists, or
+            another process is writing it.
+        DatasetError: The source is damaged or incomplete, or the target's disk is too full or cannot be written.
+    """
+    _check_source(source_root, record)
+    with _only_writer(target_root):
+        if target_root.exists():
+            raise SegmentationError(f"{target_root} exists already; remove it, or choose another target folder.")
+        _remove_leftovers(target_root)
+        needed = _check_space(source_root, target_root)
+        try:
+            with staged_directory(target_root) as staging:
+                _write_columns(source_root, staging, target_repo_id, record)
+                _copy_records(source_root, staging)
+                record.write(staging)
+                load_labels(staging)
+        except OSError as error:
+            raise DatasetError(
+                f"{target_root} could not be written ({error}). It needs about {needed} bytes on a disk that can be "
+                f"written; nothing was left behind, and {source_root} is untouched."
+            ) from error
+    logger.info("Wrote %s with %d skills.", target_root, record.n_skills)
+
+
+def _check_source(root: Path, record: SegmentationRecord) -> None:
+    from lerobot_buds.demos import DatasetFiles, read_table
+
+    files = DatasetFiles(root)
+    labelled = [name for name in (SKILL_ID, SUBGOAL_INDEX) if name in files.features]
+    if labelled:
+        raise SegmentationError(
+            f"{root} already has the columns {labelled}. Segment the dataset that it was made from, or remove the "
+            "columns first (lerobot-edit-dataset, operation remove_feature)."
+        )
+    table = read_table(root, [])
+    lengths = tuple((table.ends - table.starts).tolist())
+    if (lengths, table.fps) != (record.source.episode_lengths, record.source.fps):
+        raise SegmentationError(
+            f"The segmentation is of {len(record.source.episode_lengths)} episodes with {record.source.total_frames} "
+            f"frames at {record.source.fps} frames per second, but {root} holds {len(lengths)} with {sum(lengths)} at "
+            f"{table.fps}, or their lengths differ. Segment this dataset again."
+        )
+    missing = np.flatnonzero(~table.present)
+    if len(missing):
+        raise DatasetError(
+            f"{root} lacks {len(missing)} frames, the first is {table.locate(int(missing[0]))}. Download the whole "
+            "dataset before segmenting it."
+        )
+
+
+@contextmanager
+def _only_writer(target: Path) -> Iterator[None]:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(target.with_name(f".{target.name}.lock"), timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise SegmentationError(f"Another process is writing {target}; wait for it, or end it.") from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _remove_leftovers(target: Path) -> None:
+    # Only called under the lock, so no staging folder of this target is in use.
+    pattern = f".{glob.escape(target.name)}.{'[0-9a-f]' * 8}.part"
+    for leftover in target.parent.glob(pattern):
+        logger.info("Removing %s, left behind by an interrupted write.", leftover)
+        shutil.rmtree(leftover)
+
+
+def _check_space(source: Path, target: Path) -> int:
+    needed = sum(path.stat().st_size for path in source.rglob("*") if path.is_file()) + _SPARE_BYTES
+    free = shutil.disk_usage(target.parent).free
+    if free < needed:
+        raise DatasetError(
+            f"{target} needs about {needed} bytes, but its disk has only {free} free. Free {needed - free} bytes or "
+            "choose a target on another disk. Nothing was written."
+        )
+    return needed
+
+
+def _write_columns(source: Path, staging: Path, repo_id: str, record: SegmentationRecord) -> None:
+    from lerobot.datasets import LeRobotDataset, add_features, write_stats
+
+    labels = record.labels
+    starts = np.cumsum([0, *record.source.episode_lengths[:-1]])
+    subgoals = [start + subgoals_of(episode, record.horizon) for start, episode in zip(starts, labels, strict=True)]
+    columns = {SKILL_ID: labels, SUBGOAL_INDEX: subgoals}
+    made = add_features(
+        LeRobotDataset(record.source.repo_id, root=source),
+        {name: (np.concatenate(values), dict(_COLUMN)) for name, values in columns.items()},
+        output_dir=staging,
+        repo_id=repo_id,
+    )
+    # add_features leaves new columns without statistics.
+    write_stats({**(made.meta.stats or {}), **_stats(columns)}, staging)
+    _drop_cache(made)
+
+
+def _stats(columns: dict[str, list[IntArray]]) -> dict[str, FeatureStats]:
+    from lerobot.datasets import aggregate_stats, get_feature_stats
+
+    per_episode = [
+        {name: get_feature_stats(values, axis=0, keepdims=True) for name, values in zip(columns, episode, strict=True)}
+        for episode in zip(*columns.values(), strict=True)
+    ]
+    stats: dict[str, FeatureStats] = aggregate_stats(per_episode)
+    return {name: stats[name] for name in columns}  # aggregate_stats returns them in the order of a set
+
+
+def _drop_cache(dataset: "LeRobotDataset") -> None:
+    # `datasets` made an arrow copy of every row, images included, for a staging path that will never be opened again.
+    for folder in {Path(file["filename"]).parent for file in dataset.hf_dataset.cache_files}:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _copy_records(source: Path, staging: Path) -> None:
+    if (source / RECORD_DIR).is_dir():
+        stale = shutil.ignore_patterns(Path(SEGMENTATION_FILE).name)
+        shutil.copytree(source / RECORD_DIR, staging / RECORD_DIR, ignore=stale)

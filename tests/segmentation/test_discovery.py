@@ -1,0 +1,157 @@
+import itertools
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.base import clone
+from sklearn.metrics import adjusted_rand_score, normalized_mutual_info_score
+
+from lerobot_buds.core import ConfigError, SegmentationError, labels_of
+from lerobot_buds.segmentation import DiscoveryConfig, SkillDiscovery
+
+
+def assert_partition(found: SkillDiscovery, latents: list[np.ndarray]) -> None:
+    for labels, segments, bounds, episode in zip(
+        found.labels_, found.segments_, found.temporal_segments_, latents, strict=True
+    ):
+        assert labels.dtype == np.int64 and labels.shape == (len(episode),)
+        np.testing.assert_array_equal(labels_of(segments), labels)
+        assert all(a.end == b.start and a.label != b.label for a, b in itertools.pairwise(segments))
+        assert sum(e - s for s, e in bounds.tolist()) == len(episode)
+    joined = np.concatenate(found.labels_)
+    assert sorted(set(joined.tolist())) == list(range(found.n_skills_))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    lengths=st.lists(st.integers(0, 120), min_size=1, max_size=5),
+    max_skills=st.integers(1, 9),
+    min_skill_length=st.integers(0, 80),
+    passes=st.integers(1, 3),
+    seed=st.integers(0, 10_000),
+)
+def test_any_result_is_a_partition(
+    lengths: list[int], max_skills: int, min_skill_length: int, passes: int, seed: int
+) -> None:
+    if not any(lengths):
+        lengths = [*lengths, 1]
+    rng = np.random.default_rng(seed)
+    latents = [rng.normal(size=(n, 3)).cumsum(axis=0) for n in lengths]
+    found = SkillDiscovery(max_skills=max_skills, min_skill_length=min_skill_length, passes=passes).fit(latents)
+    assert_partition(found, latents)
+    assert 1 <= found.n_skills_ <= max_skills
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_stages_are_found(demonstrations: Callable[..., tuple], seed: int) -> None:
+    latents, truth = demonstrations(seed=seed)
+    found = SkillDiscovery(max_skills=4).fit(latents)
+    assert_partition(found, latents)
+    assert normalized_mutual_info_score(np.concatenate(truth), np.concatenate(found.labels_)) > 0.8
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_order_and_rotation_change_nothing(demonstrations: Callable[..., tuple], seed: int) -> None:
+    latents, _ = demonstrations(seed=seed, noise=1.0)
+    rng = np.random.default_rng(seed)
+    rotation = np.linalg.qr(rng.normal(size=(8, 8)))[0]
+    order = rng.permutation(len(latents))
+    reference = SkillDiscovery(max_skills=5).fit(latents)
+    rotated = SkillDiscovery(max_skills=5).fit([h @ rotation for h in latents])
+    shuffled = SkillDiscovery(max_skills=5).fit([latents[i] for i in order])
+    assert np.concatenate(reference.labels_).tolist() == np.concatenate(rotated.labels_).tolist()
+    same = adjusted_rand_score(np.concatenate([reference.labels_[i] for i in order]), np.concatenate(shuffled.labels_))
+    assert same == 1.0
+
+
+def test_scale_changes_nothing_and_the_penalty_does(demonstrations: Callable[..., tuple]) -> None:
+    latents, _ = demonstrations(noise=1.0)
+    small = SkillDiscovery().fit([0.01 * h for h in latents])
+    large = SkillDiscovery().fit([100 * h for h in latents])
+    plain = SkillDiscovery(length_penalty=0).fit(latents)
+    assert np.concatenate(small.labels_).tolist() == np.concatenate(large.labels_).tolist()
+    assert [b.tolist() for b in plain.temporal_segments_] != [b.tolist() for b in large.temporal_segments_]
+
+
+def test_same_seed_same_labels(demonstrations: Callable[..., tuple]) -> None:
+    latents, _ = demonstrations(noise=2.0)
+    first, second = (SkillDiscovery(random_state=3).fit(latents) for _ in range(2))
+    assert np.concatenate(first.labels_).tolist() == np.concatenate(second.labels_).tolist()
+
+
+@pytest.mark.parametrize("n_skills", [1, 3, 6, 9, 11])
+def test_exact_number_of_skills(demonstrations: Callable[..., tuple], n_skills: int) -> None:
+    latents, _ = demonstrations(noise=1.0)
+    found = SkillDiscovery(n_skills=n_skills).fit(latents)
+    assert_partition(found, latents)
+    assert found.n_skills_ == n_skills
+
+
+def test_more_skills_than_segments_is_refused_at_once(demonstrations: Callable[..., tuple]) -> None:
+    latents, _ = demonstrations(count=2)
+    with pytest.raises(SegmentationError, match=r"n_skills = 500 .* only \d+ temporal segments. Lower n_skills to"):
+        SkillDiscovery(n_skills=500).fit(latents)
+
+
+@pytest.mark.parametrize("total", [1, 2, 9, 10, 19, 20, 21])
+def test_short_episodes_are_one_segment(total: int, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        found = SkillDiscovery().fit([np.random.default_rng(0).normal(size=(total, 2)), np.empty((0, 2))])
+    assert found.temporal_segments_[0].tolist() == [[0, total]]
+    assert [found.labels_[0].tolist(), found.labels_[1].tolist()] == [[0] * total, []]
+    assert "too short for 16 temporal segments" in caplog.text
+
+
+def test_constant_latents_are_one_skill() -> None:
+    latents = [np.full((100, 3), 0.1), np.full((70, 3), 0.1)]
+    assert SkillDiscovery().fit(latents).n_skills_ == 1
+    with pytest.raises(SegmentationError, match="distinct groups only"):
+        SkillDiscovery(n_skills=2).fit(latents)
+
+
+def test_every_skill_under_the_minimum_leaves_one(
+    demonstrations: Callable[..., tuple], caplog: pytest.LogCaptureFixture
+) -> None:
+    latents, _ = demonstrations()
+    assert SkillDiscovery(min_skill_length=10_000).fit(latents).n_skills_ == 1
+    assert "only the longest stays" in caplog.text
+
+
+def test_non_finite_latents_are_refused_with_their_place() -> None:
+    latents = [np.zeros((30, 4)), np.zeros((30, 4))]
+    latents[1][7, 2] = np.nan
+    with pytest.raises(SegmentationError, match="episode 1, frame 7, dimension 2 is nan"):
+        SkillDiscovery().fit(latents)
+
+
+def test_shapes_and_emptiness_are_refused() -> None:
+    with pytest.raises(SegmentationError, match=r"episode 1 have shape \(5, 3\)"):
+        SkillDiscovery().fit([np.zeros((5, 2)), np.zeros((5, 3))])
+    with pytest.raises(SegmentationError, match="no demonstrations"):
+        SkillDiscovery().fit([])
+    with pytest.raises(SegmentationError, match="no demonstrations"):
+        SkillDiscovery().fit([np.empty((0, 2))])
+
+
+@pytest.mark.parametrize("name", ["window", "max_skills", "num_keyframes", "passes", "length_penalty"])
+def test_bad_parameters_are_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=f"{name} = -1 cannot work"):
+        SkillDiscovery(**{name: -1}).fit([np.zeros((5, 2))])
+
+
+def test_parameters_are_stored_unchanged() -> None:
+    estimator = SkillDiscovery(window=7, n_skills=3)
+    assert clone(estimator).get_params() == estimator.get_params()
+    assert estimator.window == 7 and estimator.segments_per_episode is None
+
+
+def test_config_converts_seconds() -> None:
+    at20 = DiscoveryConfig().build(fps=20)
+    assert at20.get_params() == SkillDiscovery().get_params()
+    at50 = replace(DiscoveryConfig(), seed=4).build(fps=50)
+    assert (at50.window, at50.min_segment_length, at50.min_skill_length) == (25, 50, 75)
+    assert at50.length_penalty == pytest.approx(0.08) and at50.random_state == 4
