@@ -1,6 +1,18 @@
 """Demonstrations: scripted demonstrators, recording, reading and checking LeRobotDatasets."""
 
-from .frames import cached_frames, frames_key
+from .checks import check_demonstrations, dimension_names, require_finite, require_whole
+from .frames import cached_frames, frame_size, frames_key
 from .tables import DatasetFiles, FrameTable, read_table
 
-__all__ = ["DatasetFiles", "FrameTable", "cached_frames", "frames_key", "read_table"]
+__all__ = [
+    "DatasetFiles",
+    "FrameTable",
+    "cached_frames",
+    "check_demonstrations",
+    "dimension_names",
+    "frame_size",
+    "frames_key",
+    "read_table",
+    "require_finite",
+    "require_whole",
+]

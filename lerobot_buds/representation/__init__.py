@@ -1,1 +1,16 @@
 """The multi-sensory representation: one latent per frame from all cameras and proprioception."""
+
+from .configuration import RepresentationConfig
+from .encoding import Representation, encode_dataset
+from .inputs import Modalities
+from .pictures import draw_reconstructions
+from .training import train_representation
+
+__all__ = [
+    "Modalities",
+    "Representation",
+    "RepresentationConfig",
+    "draw_reconstructions",
+    "encode_dataset",
+    "train_representation",
+]

@@ -1,0 +1,155 @@
+"""Checks demonstrations before anything is learned from them: what would fail or mislead later fails here."""
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE, DatasetError
+
+from .frames import cached_frames, frame_size
+from .tables import DatasetFiles, FrameTable, read_table
+
+logger = logging.getLogger(__name__)
+
+TIME_TOLERANCE_S = 1e-4  # LeRobot's own tolerance between a row's timestamp and its video frame
+FPS_RANGE = (1, 1000)  # control rates outside are a mistake of the recorder
+CONSTANT_RANGE = 1e-6  # a dimension that moves less carries no information at float32 precision
+BLACK_LEVEL = 8  # a camera whose brightest pixel stays below saw nothing (of 255)
+SAMPLED_FRAMES = 64  # frames per camera looked at for blackness
+
+
+def check_demonstrations(
+    root: Path,
+    cameras: Sequence[str] | None = None,
+    columns: Sequence[str] = (STATE, ACTION),
+    cache_dir: Path | None = None,
+) -> list[str]:
+    """Refuses demonstrations that cannot be segmented, and warns about what looks broken but can be.
+
+    Decodes the cameras into the cache on the way, so that a damaged video is found before anything is trained.
+
+    Args:
+        root: Folder of a LeRobotDataset.
+        cameras: Image features that will be used; all of the dataset where None.
+        columns: Vectors that will be used.
+        cache_dir: Folder of the decoded frames; LeRobot's home where None.
+
+    Returns:
+        The warnings, which are also logged: constant dimensions and black cameras by name.
+
+    Raises:
+        DatasetError: Features are missing (all are named); rows are missing; values are not finite; timestamps are not
+            ``frame_index / fps``; the frame rate is absurd; a video is damaged or too short.
+    """
+    files = DatasetFiles(root)
+    if cameras is None:
+        cameras = sorted(name for name in files.features if name.startswith(IMAGE_PREFIX))
+    files.require([*cameras, *columns])
+    for camera in cameras:
+        frame_size(files.features[camera], camera)
+    if not FPS_RANGE[0] <= files.fps <= FPS_RANGE[1]:
+        raise DatasetError(f"{files.root}/meta/info.json: fps={files.fps} is outside {FPS_RANGE}; correct it.")
+    table = read_table(root, [*columns, "timestamp", "frame_index", "episode_index"])
+    if len(table.present) == 0:
+        raise DatasetError(f"{files.root} holds no frames: record or download demonstrations first.")
+    require_whole(table)
+    _check_clock(table)
+    warnings = []
+    for name in columns:
+        names = dimension_names(files.features[name])
+        require_finite(table, name, names)
+        values = _as_matrix(table, name)
+        still = np.flatnonzero(np.ptp(values, axis=0) < CONSTANT_RANGE)
+        warnings += [f"{files.root}: {name!r} dimension {d} ({names[d]!r}) is constant in all frames" for d in still]
+    for camera in cameras:
+        frames = cached_frames(root, camera, cache_dir)
+        sample = np.unique(np.linspace(0, len(frames) - 1, SAMPLED_FRAMES).astype(np.int64))
+        if frames[sample].max() < BLACK_LEVEL:
+            warnings.append(f"{files.root}: camera {camera!r} is black in all sampled frames")
+    for warning in warnings:
+        logger.warning("%s", warning)
+    return warnings
+
+
+def require_whole(table: FrameTable) -> None:
+    """Refuses a partial download.
+
+    Args:
+        table: Any table of the dataset.
+
+    Raises:
+        DatasetError: A row is not there; names the first one.
+    """
+    if not table.present.all():
+        first = table.locate(int(np.argmin(table.present)))
+        raise DatasetError(
+            f"{table.root}: {int((~table.present).sum())} of {len(table.present)} rows are not on this machine, the "
+            f"first is {first}. Download the whole dataset."
+        )
+
+
+def require_finite(table: FrameTable, column: str, names: Sequence[str]) -> None:
+    """Refuses NaN and infinities.
+
+    Args:
+        table: Table with the column.
+        column: Name of a float column, ``(N,)`` or ``(N, D)``.
+        names: D names of its dimensions.
+
+    Raises:
+        DatasetError: A present row is not finite; names episode, frame and dimension of the first one.
+    """
+    bad = ~np.isfinite(_as_matrix(table, column)) & table.present[:, None]
+    if bad.any():
+        row, dim = (int(i) for i in np.argwhere(bad)[0])
+        value = _as_matrix(table, column)[row, dim]
+        raise DatasetError(
+            f"{table.root}: {column!r} is {value} in {table.locate(row)}, dimension {dim} ({names[dim]!r}); "
+            f"{int(bad.any(axis=1).sum())} frame(s) are affected. Repair the recording, or remove these episodes with "
+            "lerobot-edit-dataset."
+        )
+
+
+def dimension_names(feature: dict[str, Any]) -> list[str]:
+    """Lists one name per dimension of a vector feature, whichever way the dataset spells them.
+
+    Args:
+        feature: Feature record of ``meta/info.json``; its names may be a list, a dictionary of lists, or absent.
+
+    Returns:
+        The names; the dimensions' numbers where the dataset has no, or not one per dimension.
+    """
+    names, size = feature.get("names") or [], int(feature["shape"][0])
+    if isinstance(names, dict):
+        names = [name for group in names.values() for name in (group if isinstance(group, list) else [])]
+    return [str(name) for name in names] if len(names) == size else [str(d) for d in range(size)]
+
+
+def _as_matrix(table: FrameTable, column: str) -> NDArray[Any]:
+    return table.columns[column].reshape(len(table.present), -1)
+
+
+def _check_clock(table: FrameTable) -> None:
+    lengths = table.ends - table.starts
+    expected = np.arange(len(table.present)) - np.repeat(table.starts, lengths)
+    episodes = np.repeat(np.arange(table.n_episodes), lengths)
+    for column, truth in (("episode_index", episodes), ("frame_index", expected)):
+        wrong = np.flatnonzero(table.columns[column] != truth)
+        if len(wrong):
+            row = int(wrong[0])
+            raise DatasetError(
+                f"{table.root}: {column} is {table.columns[column][row]} in {table.locate(row)}, which should be "
+                f"{truth[row]}. The rows do not fit meta/episodes; fetch or record the dataset again."
+            )
+    late = np.flatnonzero(~(np.abs(table.columns["timestamp"] - expected / table.fps) <= TIME_TOLERANCE_S))
+    if len(late):
+        row = int(late[0])
+        raise DatasetError(
+            f"{table.root}: the timestamp of {table.locate(row)} is {table.columns['timestamp'][row]:.6f} s, but "
+            f"frame_index / fps is {expected[row] / table.fps:.6f} s (fps {table.fps}). Re-record at a constant "
+            "rate, or correct fps in meta/info.json."
+        )

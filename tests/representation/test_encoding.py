@@ -1,0 +1,124 @@
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+from PIL import Image
+
+from lerobot_buds.core import CheckpointError, DatasetError
+from lerobot_buds.demos import cached_frames
+from lerobot_buds.representation import (
+    Modalities,
+    Representation,
+    RepresentationConfig,
+    draw_reconstructions,
+    encode_dataset,
+)
+from lerobot_buds.representation.encoding import RECORD_FILE, WEIGHTS_FILE
+from lerobot_buds.representation.inputs import DatasetInputs
+
+CONFIG = RepresentationConfig(image_size=16, latent_dim=4, device="cpu")
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(scope="session")
+def representation(toy_root: Path) -> Representation:
+    return Representation.untrained(Modalities.select(toy_root, CONFIG), CONFIG)
+
+
+def test_latents_are_posterior_means_episode_by_episode(
+    toy_root: Path, representation: Representation, cache: Path
+) -> None:
+    latents = encode_dataset(toy_root, representation, 8, cache)
+    assert [len(h) for h in latents] == [12, 9, 10, 11]
+    assert all(h.dtype == np.float64 and h.shape[1] == 4 for h in latents)
+    inputs = DatasetInputs(toy_root, representation.modalities, 16, cache)
+    with torch.no_grad():
+        one = representation.network.encode(inputs.batch(np.array([15]), torch.device("cpu"))).mean
+    np.testing.assert_allclose(latents[1][3], one[0].numpy(), rtol=1e-4, atol=1e-6)
+
+
+def test_latents_are_computed_once(toy_root: Path, representation: Representation, tmp_path: Path) -> None:
+    first = encode_dataset(toy_root, representation, 8, tmp_path)
+    stored = next(tmp_path.glob("latents-*.npy"))
+    before = stored.stat().st_mtime_ns
+    second = encode_dataset(toy_root, representation, 8, tmp_path)
+    assert stored.stat().st_mtime_ns == before
+    np.testing.assert_array_equal(np.concatenate(first), np.concatenate(second))
+    other = Representation.untrained(representation.modalities, replace(CONFIG, seed=1))
+    encode_dataset(toy_root, other, 8, tmp_path)
+    assert len(list(tmp_path.glob("latents-*.npy"))) == 2
+
+
+def test_images_are_box_averages(toy_root: Path, representation: Representation, cache: Path) -> None:
+    batch = DatasetInputs(toy_root, representation.modalities, 16, cache).batch(np.array([3, 20]), torch.device("cpu"))
+    for name in representation.modalities.cameras:
+        stored = cached_frames(toy_root, name, cache)[[3, 20]].astype(np.float64) / 255
+        boxes = stored.reshape(2, 3, 16, 2, 16, 2).mean(axis=(3, 5))
+        np.testing.assert_allclose(batch[name].numpy(), boxes, atol=1e-6)
+
+
+def test_save_and_load_is_the_identity(toy_root: Path, representation: Representation, tmp_path: Path) -> None:
+    representation.save(tmp_path)
+    loaded = Representation.load(tmp_path)
+    assert loaded.hash == representation.hash
+    assert (loaded.modalities, loaded.config) == (representation.modalities, representation.config)
+    ours = encode_dataset(toy_root, representation, 8, tmp_path / "a")
+    theirs = encode_dataset(toy_root, loaded, 8, tmp_path / "b")
+    np.testing.assert_array_equal(np.concatenate(ours), np.concatenate(theirs))
+
+
+def test_damaged_newer_and_absent_files_are_refused(representation: Representation, tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match="no whole representation"):
+        Representation.load(tmp_path)
+    representation.save(tmp_path)
+    weights = (tmp_path / WEIGHTS_FILE).read_bytes()
+    (tmp_path / WEIGHTS_FILE).write_bytes(weights[:-8])
+    with pytest.raises(CheckpointError, match="is not the file"):
+        Representation.load(tmp_path)
+    (tmp_path / WEIGHTS_FILE).write_bytes(weights)
+    record = json.loads((tmp_path / RECORD_FILE).read_text())
+    (tmp_path / RECORD_FILE).write_text(json.dumps({**record, "version": 99}))
+    with pytest.raises(CheckpointError, match="version 99"):
+        Representation.load(tmp_path)
+
+
+def test_other_frame_sizes_and_states_are_refused(toy_root: Path, representation: Representation, cache: Path) -> None:
+    sizes = dict.fromkeys(representation.modalities.cameras, (64, 48))
+    larger = replace(representation, modalities=replace(representation.modalities, cameras=sizes))
+    with pytest.raises(CheckpointError, match=r"64 x 48 pixels.* 32 x 32"):
+        encode_dataset(toy_root, larger, 8, cache)
+    renamed = replace(representation, modalities=replace(representation.modalities, state_names=("a", "b", "c", "d")))
+    with pytest.raises(CheckpointError, match="joint_1"):
+        encode_dataset(toy_root, renamed, 8, cache)
+
+
+def test_latents_that_are_not_finite_are_refused(toy_root: Path, cache: Path) -> None:
+    broken = Representation.untrained(Modalities.select(toy_root, CONFIG), CONFIG)
+    with torch.no_grad():
+        broken.network.proprioception_encoder.layers[0].weight.fill_(torch.nan)
+    with pytest.raises(DatasetError, match="latent of episode 0, frame 0 is not finite, nor are 41 more"):
+        encode_dataset(toy_root, broken, 8, cache)
+
+
+def test_partial_downloads_are_refused(toy_root: Path, representation: Representation, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(toy_root, tmp_path / "partial"))
+    shard = next((root / "data").rglob("*.parquet"))
+    pq.write_table(pq.read_table(shard).slice(0, 30), shard)
+    with pytest.raises(DatasetError, match="12 of 42 rows are not on this machine, the first is episode 2, frame 9"):
+        encode_dataset(root, representation, 8, tmp_path / "cache")
+
+
+def test_picture_of_reconstructions(
+    toy_root: Path, representation: Representation, cache: Path, tmp_path: Path
+) -> None:
+    draw_reconstructions(toy_root, representation, tmp_path / "picture.png", columns=4, cache_dir=cache)
+    assert min(Image.open(tmp_path / "picture.png").size) > 200
