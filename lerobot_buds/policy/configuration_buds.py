@@ -1,0 +1,183 @@
+"""The configuration of policy type ``buds``; importing it registers the type with LeRobot."""
+
+from dataclasses import dataclass, field
+
+from lerobot.configs import NormalizationMode, PolicyFeature, PreTrainedConfig
+from lerobot.optim import AdamConfig
+from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig  # not exported by lerobot.optim
+
+from lerobot_buds.core import IMAGE_PREFIX, STATE, WORKSPACE_CAMERA, ConfigError, frames_of_seconds, near_names
+
+ENCODERS = ("resnet18", "conv")
+NORMS = ("batch", "group")
+PAPER_FPS = 20
+RESNET_MIN_PIXELS = 64
+
+
+@PreTrainedConfig.register_subclass("buds")
+@dataclass
+class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
+    """Settings of the K skills and the meta controller; the defaults are the paper's sizes.
+
+    Fields left at None or empty are filled from the dataset when the policy is built, and saved with the checkpoint.
+    Durations are in seconds; `fps` converts them to frames.
+
+    Raises:
+        ConfigError: A value cannot work.
+    """
+
+    # Inputs. Images and actions go in and out unchanged; the policy standardises the state with buffers of its own, so
+    # that a skill keeps its scaling when it is trained further on another dataset.
+    normalization_mapping: dict[str, NormalizationMode] = field(
+        default_factory=lambda: {
+            "VISUAL": NormalizationMode.IDENTITY,
+            "STATE": NormalizationMode.IDENTITY,
+            "ACTION": NormalizationMode.IDENTITY,
+        }
+    )
+    workspace_camera: str | None = None  # None: the agent view where there is one, else the first camera
+    image_size: int | None = None  # None: as stored. A number scales down to that many pixels square, by area
+    crop_padding: int = 4  # pixels after scaling; random shift of the images in training (paper: DrQ; notes: 4)
+    current_state: list[str] = field(default_factory=lambda: ["*joint*"])  # by name: read now (released code)
+    history_state: list[str] = field(default_factory=lambda: ["*gripper*"])  # by name: read before now (released code)
+    gripper_history_s: float = 0.25  # 5 readings at 20 Hz (released code)
+
+    # Networks
+    encoder: str = "resnet18"  # "resnet18" (paper) or "conv": a small one for CPUs, of the same structure (ours)
+    norm: str = "batch"  # "batch" (released code) or "group" (ours: no statistics of small per-skill batches)
+    conv_channels: list[int] = field(default_factory=lambda: [32, 64, 64])  # stages of "conv" (ours)
+    keypoints: int = 64  # maps of the spatial softmax (notes)
+    image_feature: int = 64  # released code
+    subgoal_dim: int = 32  # notes
+    subgoal_noise: float = 0.1  # standard deviation, training only (notes)
+    head_widths: list[int] = field(default_factory=lambda: [300, 400])  # notes; multi-task: 300, 300, 400
+
+    # Meta controller
+    meta_period_s: float = 0.25  # 4 Hz (paper)
+    meta_latent: int = 64  # released code
+    meta_encoder_widths: list[int] = field(default_factory=lambda: [256, 256])  # released code
+    meta_head_widths: list[int] = field(default_factory=lambda: [300, 400])  # released code
+    meta_conv_feature: int = 128  # image feature with encoder "conv"; ResNet-18 gives 512 (ours)
+    kl_weight: float = 1e-4  # per sample; the released 0.01 weighs a mean against sums over batches of 100
+
+    # Training
+    optimizer_lr: float = 1e-4  # Adam (notes)
+    optimizer_grad_clip_norm: float = 10.0  # LeRobot's default
+    push_to_hub: bool = False
+
+    # Filled from the dataset
+    n_skills: int | None = None
+    fps: int | None = None
+    tasks: list[str] = field(default_factory=list)
+    state_names: list[str] = field(default_factory=list)
+    current_dims: list[int] | None = None
+    history_dims: list[int] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, known in (("encoder", ENCODERS), ("norm", NORMS)):
+            if (value := getattr(self, name)) not in known:
+                raise ConfigError(f"{name}={value!r} is unknown. {near_names(str(value), known)}")
+        for name in ("image_size", "n_skills", "fps", "keypoints", "image_feature", "subgoal_dim", "meta_latent"):
+            if (value := getattr(self, name)) is not None and value < 1:
+                raise ConfigError(f"{name}={value} must be at least 1.")
+        for name in ("crop_padding", "subgoal_noise", "kl_weight"):
+            if (value := getattr(self, name)) < 0:
+                raise ConfigError(f"{name}={value} must not be negative.")
+        for name in ("gripper_history_s", "meta_period_s", "optimizer_lr"):
+            if not (value := getattr(self, name)) > 0:
+                raise ConfigError(f"{name}={value} must be positive.")
+        if not self.conv_channels:
+            raise ConfigError("conv_channels is empty: the encoder needs at least one stage.")
+
+    @property
+    def cameras(self) -> list[str]:
+        """The image keys in the order in which they are stacked, the workspace camera first."""
+        first = self.workspace_camera or next(iter(self.image_features))
+        return [first, *(key for key in self.image_features if key != first)]
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """Height and width (pixels) of the images inside the networks."""
+        if self.image_size is not None:
+            return self.image_size, self.image_size
+        _, height, width = self.image_features[self.cameras[0]].shape
+        return height, width
+
+    @property
+    def state_size(self) -> int:
+        """Dimensions of ``observation.state``, 0 without one."""
+        return int(self.robot_state_feature.shape[0]) if self.robot_state_feature else 0
+
+    @property
+    def history_frames(self) -> int:
+        """Frames of gripper history."""
+        return frames_of_seconds(self.gripper_history_s, self.fps or PAPER_FPS)
+
+    @property
+    def meta_period(self) -> int:
+        """Frames for which a decision of the meta controller is held."""
+        return frames_of_seconds(self.meta_period_s, self.fps or PAPER_FPS)
+
+    @property
+    def proprio_size(self) -> int:
+        """Dimensions of a skill's proprioception: the current state and the gripper history."""
+        return len(self.current_dims or []) + len(self.history_dims or []) * self.history_frames
+
+    def validate_features(self) -> None:
+        """Checks that inputs and outputs fit the networks, and settles the workspace camera.
+
+        Raises:
+            ConfigError: No camera, cameras that cannot be stacked, or no action.
+        """
+        images: dict[str, PolicyFeature] = self.image_features
+        if not images:
+            raise ConfigError(f"Policy 'buds' needs at least one camera ('{IMAGE_PREFIX}*'), the data has none.")
+        if self.action_feature is None or len(self.action_feature.shape) != 1:
+            raise ConfigError("Policy 'buds' needs one action vector named 'action'.")
+        if self.workspace_camera is None:
+            self.workspace_camera = WORKSPACE_CAMERA if WORKSPACE_CAMERA in images else next(iter(images))
+        if self.workspace_camera not in images:
+            known = near_names(self.workspace_camera, images)
+            raise ConfigError(f"workspace_camera={self.workspace_camera!r} is not a camera of the data. {known}")
+        self._validate_image_shapes({key: tuple(feature.shape) for key, feature in images.items()})
+        # Only the cameras, the state and the action are used; other inputs would be demanded from environments in vain.
+        for key in [key for key in self.input_features if key not in {*images, STATE}]:
+            del self.input_features[key]
+
+    def _validate_image_shapes(self, shapes: dict[str, tuple[int, ...]]) -> None:
+        smallest = min(min(shape[1:]) for shape in shapes.values())
+        if self.image_size is None and len(set(shapes.values())) > 1:
+            raise ConfigError(
+                f"The cameras have different shapes and cannot be stacked: {shapes}. Set image_size to scale them all."
+            )
+        if self.image_size is not None and self.image_size > smallest:
+            raise ConfigError(f"image_size={self.image_size} would enlarge images: {shapes}.")
+        if self.encoder == "resnet18" and min(self.image_shape) < RESNET_MIN_PIXELS:
+            raise ConfigError(
+                f"encoder='resnet18' needs images of at least {RESNET_MIN_PIXELS} pixels, these have "
+                f"{min(self.image_shape)}. Use encoder='conv'."
+            )
+
+    def get_optimizer_preset(self) -> AdamConfig:
+        """Adam without weight decay (paper's notes)."""
+        return AdamConfig(lr=self.optimizer_lr, weight_decay=0.0, grad_clip_norm=self.optimizer_grad_clip_norm)
+
+    def get_scheduler_preset(self) -> CosineAnnealingWithWarmupSchedulerConfig:
+        """Cosine decay to zero over the run (ours; the paper keeps the rate and stops after 2001 epochs)."""
+        return CosineAnnealingWithWarmupSchedulerConfig(num_warmup_steps=0)
+
+    @property
+    def observation_delta_indices(self) -> None:
+        """None: LeRobot hands over single frames; the gripper history is looked up by the policy."""
+        return None
+
+    @property
+    def action_delta_indices(self) -> None:
+        """None: one action per frame."""
+        return None
+
+    @property
+    def reward_delta_indices(self) -> None:
+        """None: rewards are not used."""
+        return None

@@ -1,0 +1,112 @@
+"""Building blocks of the networks: image trunks, spatial softmax, multi-layer perceptrons."""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torchvision.models import resnet18
+
+GROUP_WIDTH = 16
+"""Channels per group of group normalisation (Wu and He 2018)."""
+
+
+def make_mlp(sizes: Sequence[int]) -> nn.Sequential:
+    """Builds linear layers with LeakyReLU(0.01) between them and none after the last.
+
+    Args:
+        sizes: Input width, hidden widths, output width.
+    """
+    layers: list[nn.Module] = []
+    for width_in, width_out in pairwise(sizes):
+        layers += [nn.Linear(width_in, width_out), nn.LeakyReLU(0.01)]
+    return nn.Sequential(*layers[:-1])
+
+
+def make_norm(kind: str) -> Callable[[int], nn.Module]:
+    """Returns the constructor of the normalisation ``"batch"`` or ``"group"``, called with the number of channels."""
+    if kind == "batch":
+        return nn.BatchNorm2d
+    return lambda channels: nn.GroupNorm(max(1, channels // GROUP_WIDTH), channels)
+
+
+def make_resnet_trunk(in_channels: int, norm: str, stages: int) -> tuple[nn.Sequential, int]:
+    """Builds a ResNet-18 trained from scratch, without pooling and classifier (paper, section on skills).
+
+    Args:
+        in_channels: Channels of the input; the cameras of one frame are stacked.
+        norm: ``"batch"`` or ``"group"``.
+        stages: How many of the four residual stages to keep; each but the first halves the map.
+
+    Returns:
+        The trunk and the channels of its maps.
+    """
+    net = resnet18(weights=None, norm_layer=make_norm(norm))
+    if in_channels != net.conv1.in_channels:
+        net.conv1 = nn.Conv2d(in_channels, net.conv1.out_channels, 7, stride=2, padding=3, bias=False)
+        nn.init.kaiming_normal_(net.conv1.weight, mode="fan_out", nonlinearity="relu")
+    kept = [net.layer1, net.layer2, net.layer3, net.layer4][:stages]
+    return nn.Sequential(net.conv1, net.bn1, net.relu, net.maxpool, *kept), 64 * 2 ** (stages - 1)
+
+
+def make_conv_trunk(in_channels: int, norm: str, channels: Sequence[int]) -> tuple[nn.Sequential, int]:
+    """Builds a small trunk for CPUs (ours): strides 4, 2, 1, ..., so that 64 pixels become 8x8 maps.
+
+    The large first stride is where the time goes away: later stages work on 16x16 maps and smaller.
+
+    Args:
+        in_channels: Channels of the input.
+        norm: ``"batch"`` or ``"group"``.
+        channels: Channels of every stage.
+
+    Returns:
+        The trunk and the channels of its maps.
+    """
+    layers: list[nn.Module] = []
+    widths = [in_channels, *channels]
+    for stage, (width_in, width_out) in enumerate(pairwise(widths)):
+        kernel, stride = [(5, 4), (3, 2)][stage] if stage < 2 else (3, 1)
+        layers += [
+            nn.Conv2d(width_in, width_out, kernel, stride=stride, padding=kernel // 2, bias=False),
+            make_norm(norm)(width_out),
+            nn.ReLU(inplace=True),
+        ]
+    return nn.Sequential(*layers), widths[-1]
+
+
+class SpatialSoftmax(nn.Module):
+    """Turns every map into the expected position of its peak, in [-1, 1]; temperature 1 (released code)."""
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Computes the keypoints.
+
+        Args:
+            maps: ``(B, C, H, W)`` floats.
+
+        Returns:
+            ``(B, 2 C)`` floats: all x, then all y.
+        """
+        _, _, height, width = maps.shape
+        weights = maps.flatten(2).softmax(dim=-1).view_as(maps)
+        columns = torch.linspace(-1, 1, width, device=maps.device, dtype=weights.dtype)
+        rows = torch.linspace(-1, 1, height, device=maps.device, dtype=weights.dtype)
+        x = (weights.sum(dim=2) * columns).sum(dim=-1)  # (B, C)
+        y = (weights.sum(dim=3) * rows).sum(dim=-1)  # (B, C)
+        return torch.cat([x, y], dim=1)
+
+
+def make_keypoint_encoder(trunk: nn.Module, channels: int, keypoints: int, feature: int) -> nn.Sequential:
+    """Builds trunk, 1x1 convolution, spatial softmax and a linear layer (paper, section on skills).
+
+    Args:
+        trunk: Images ``(B, C, H, W)`` to maps with `channels` channels.
+        channels: Channels of the trunk's maps.
+        keypoints: Maps of the spatial softmax.
+        feature: Width of the output ``(B, feature)``.
+    """
+    return nn.Sequential(trunk, nn.Conv2d(channels, keypoints, 1), SpatialSoftmax(), nn.Linear(2 * keypoints, feature))
+
+
+def make_pooled_encoder(trunk: nn.Module) -> nn.Sequential:
+    """Builds trunk and global average pooling: images to ``(B, channels)`` (released meta controller)."""
+    return nn.Sequential(trunk, nn.AdaptiveAvgPool2d(1), nn.Flatten())

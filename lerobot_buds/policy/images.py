@@ -1,0 +1,36 @@
+"""Image handling inside the policy: scaling down by area, and the random shift of training."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+
+def scale_images(images: Tensor, shape: tuple[int, int]) -> Tensor:
+    """Scales images down by averaging areas, which does not alias; images of the right size pass unchanged.
+
+    Args:
+        images: ``(B, C, H, W)`` floats.
+        shape: Height and width (pixels) of the result.
+    """
+    if images.shape[-2:] == shape:
+        return images
+    return F.interpolate(images, size=shape, mode="area")
+
+
+def random_shift(images: Tensor, padding: int) -> Tensor:
+    """Shifts every sample by up to `padding` pixels, repeating the border (paper: DrQ's pad and crop).
+
+    All channels of a sample, hence all stacked cameras, share one shift.
+
+    Args:
+        images: ``(B, C, H, W)`` floats.
+        padding: Largest shift (pixels); 0 changes nothing.
+    """
+    if padding == 0:
+        return images
+    batch, _, height, width = images.shape
+    shifts = torch.randint(-padding, padding + 1, (2, batch, 1), device=images.device)
+    rows = (torch.arange(height, device=images.device) + shifts[0]).clamp(0, height - 1)  # (B, H)
+    columns = (torch.arange(width, device=images.device) + shifts[1]).clamp(0, width - 1)  # (B, W)
+    samples = torch.arange(batch, device=images.device)[:, None, None]
+    return images.permute(0, 2, 3, 1)[samples, rows[:, :, None], columns[:, None, :]].permute(0, 3, 1, 2)

@@ -1,0 +1,118 @@
+"""Settles a configuration on the dataset the policy is built for, and refuses what does not fit together."""
+
+import logging
+from typing import Any
+
+from lerobot.utils.feature_utils import dataset_to_policy_features
+
+from lerobot_buds.core import STATE, CheckpointError, ConfigError, near_names, select_dims
+from lerobot_buds.segmentation import load_labels
+
+from .configuration_buds import PAPER_FPS, BudsConfig
+
+logger = logging.getLogger(__name__)
+
+
+def settle_on_dataset(config: BudsConfig, meta: Any) -> None:
+    """Fills the configuration's open fields from a segmented dataset, and checks those that a checkpoint has filled.
+
+    Args:
+        config: Changed in place; LeRobot saves this very object with the checkpoint.
+        meta: LeRobot's dataset metadata.
+
+    Raises:
+        SegmentationError: The dataset has no valid labels.
+        CheckpointError: Number of skills, frame rate, cameras or state differ from what the configuration says.
+        ConfigError: The dataset has tasks that the configuration does not know.
+    """
+    _check_features(config, meta)
+    record, _, _ = load_labels(meta.root)
+    config.n_skills = _agree("n_skills", config.n_skills, int(record.n_skills), meta.root)
+    config.fps = _agree("fps", config.fps, int(meta.fps), meta.root)
+    names = state_names(meta.features)
+    config.state_names = _agree("state_names", config.state_names or None, names, meta.root)
+    tasks = [str(task) for task in meta.tasks.index]
+    config.tasks = config.tasks or tasks
+    for task in tasks:
+        check_task(config, task)
+    settle_state(config)
+
+
+def settle_without_dataset(config: BudsConfig) -> None:
+    """Completes a configuration that no dataset has filled: an untrained policy for trying out an environment."""
+    if config.n_skills is None or config.fps is None:
+        logger.warning("Policy 'buds' was built without a dataset: it is untrained, has one skill and assumes 20 Hz.")
+    config.n_skills = config.n_skills or 1
+    config.fps = config.fps or PAPER_FPS
+    settle_state(config)
+
+
+def settle_state(config: BudsConfig) -> None:
+    """Chooses the dimensions of the state by their names, where that has not been done.
+
+    Where no name matches `current_state`, or there are no names, all dimensions are read now and none is remembered.
+
+    Args:
+        config: Changed in place.
+
+    Raises:
+        ConfigError: A given dimension is outside the state.
+    """
+    if config.current_dims is None or config.history_dims is None:
+        current = select_dims(config.state_names, config.current_state)
+        history = select_dims(config.state_names, config.history_state)
+        if not current and config.state_size:
+            current, history = list(range(config.state_size)), []
+            logger.warning("No state dimension matches %s; the skills read all of them.", config.current_state)
+        config.current_dims, config.history_dims = current, history
+    outside = [d for d in config.current_dims + config.history_dims if not 0 <= d < config.state_size]
+    if outside:
+        raise ConfigError(f"State dimensions {outside} do not exist: the state has {config.state_size}.")
+
+
+def state_names(features: dict[str, Any]) -> list[str]:
+    """Lists the names of the state's dimensions; empty where the dataset does not name each.
+
+    Args:
+        features: LeRobot's features; ``names`` is a list, or a dictionary of lists, or None.
+    """
+    if STATE not in features:
+        return []
+    names = features[STATE].get("names") or []
+    if isinstance(names, dict):
+        names = [name for group in names.values() if isinstance(group, list) for name in group]
+    complete = len(names) == features[STATE]["shape"][0]
+    return [str(name) for name in names] if complete else []
+
+
+def check_task(config: BudsConfig, task: str) -> None:
+    """Refuses a task that the policy was not trained on; no task at all is fine where there is just one.
+
+    Args:
+        config: Its `tasks` are the known ones; where it knows none (an untrained policy), all pass.
+        task: Task string.
+
+    Raises:
+        ConfigError: The task is unknown.
+    """
+    if not config.tasks or task in config.tasks or (task == "" and len(config.tasks) == 1):
+        return
+    known = near_names(task, config.tasks)
+    raise ConfigError(f"The policy does not know the task {task!r}. {known} To train on others too, set policy.tasks.")
+
+
+def _check_features(config: BudsConfig, meta: Any) -> None:
+    stored = dataset_to_policy_features(meta.features)
+    missing = [key for key in config.input_features if key not in stored]
+    if missing:
+        raise CheckpointError(f"The policy needs {missing}, which {meta.root} lacks. It has {sorted(stored)}.")
+    for key, feature in config.input_features.items():
+        expected, found = tuple(feature.shape), tuple(stored[key].shape)
+        if expected != found:
+            raise CheckpointError(f"{key}: the policy was made for shape {expected}, {meta.root} has {found}.")
+
+
+def _agree[T](name: str, configured: T | None, stored: T, root: Any) -> T:
+    if configured is not None and configured != stored:
+        raise CheckpointError(f"The policy was made for {name}={configured!r}, but {root} has {stored!r}.")
+    return stored

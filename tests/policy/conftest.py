@@ -1,0 +1,149 @@
+"""A tiny segmented dataset: two 32-pixel cameras, three episodes, labels and subgoals written with the frames."""
+
+import os
+from collections.abc import Callable
+from typing import Any
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+# Read by LeRobot when it is imported: nothing here may reach for the Hub.
+os.environ.setdefault("HF_HUB_OFFLINE", "1")
+
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.policies import make_policy
+from lerobot_buds.core import (
+    ACTION,
+    EYE_IN_HAND_CAMERA,
+    SKILL_ID,
+    STATE,
+    SUBGOAL_INDEX,
+    TRUE_STAGE,
+    WORKSPACE_CAMERA,
+    subgoals_of,
+)
+from lerobot_buds.policy import BudsConfig
+from lerobot_buds.policy.modeling_buds import BudsPolicy
+from lerobot_buds.segmentation import SegmentationRecord
+
+REPO_ID = "tests/segmented"
+FPS = 20
+HORIZON = 3
+PIXELS = 32
+TASK = "Close the drawer"
+STATE_NAMES = ["joint_1.pos", "joint_2.pos", "gripper_left.pos", "gripper_right.pos", "eef_x.pos"]
+LABELS = [np.repeat([0, 1, 0], [5, 4, 3]), np.repeat([1, 0], [6, 2]), np.repeat([0, 1], [4, 6])]
+SMALL = {
+    "encoder": "conv",
+    "norm": "group",
+    "conv_channels": [8, 8],
+    "keypoints": 4,
+    "image_feature": 8,
+    "subgoal_dim": 4,
+    "head_widths": [16],
+    "meta_latent": 4,
+    "meta_encoder_widths": [16],
+    "meta_head_widths": [16],
+    "meta_conv_feature": 8,
+    "device": "cpu",
+}
+
+torch.set_num_threads(1)
+
+
+def _features() -> dict[str, dict[str, object]]:
+    image = {"dtype": "image", "shape": (PIXELS, PIXELS, 3), "names": ["height", "width", "channels"]}
+    column = {"dtype": "int64", "shape": (1,), "names": None}
+    return {
+        WORKSPACE_CAMERA: image,
+        EYE_IN_HAND_CAMERA: image,
+        STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": STATE_NAMES},
+        ACTION: {"dtype": "float32", "shape": (4,), "names": ["x", "y", "z", "gripper"]},
+        TRUE_STAGE: column,
+        SKILL_ID: column,
+        SUBGOAL_INDEX: column,
+    }
+
+
+@pytest.fixture(scope="session")
+def dataset_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data") / "segmented"
+    rng = np.random.default_rng(0)
+    dataset = LeRobotDataset.create(REPO_ID, FPS, _features(), root=root, use_videos=False)
+    start = 0
+    for labels in LABELS:
+        subgoals = start + subgoals_of(labels, HORIZON)
+        for label, subgoal in zip(labels, subgoals, strict=True):
+            # The colour tells the skill, so that ids can be learnt.
+            image = rng.integers(0, 100, (PIXELS, PIXELS, 3))
+            image[..., label] += 150
+            frame = {
+                WORKSPACE_CAMERA: image.astype(np.uint8),
+                EYE_IN_HAND_CAMERA: rng.integers(0, 256, (PIXELS, PIXELS, 3)).astype(np.uint8),
+                STATE: rng.normal(size=len(STATE_NAMES)).astype(np.float32),
+                ACTION: rng.uniform(-1, 1, 4).astype(np.float32),
+                TRUE_STAGE: np.array([7]),
+                SKILL_ID: np.array([label]),
+                SUBGOAL_INDEX: np.array([subgoal]),
+            }
+            dataset.add_frame({**frame, "task": TASK})
+        dataset.save_episode()
+        start += len(labels)
+    dataset.finalize()
+    SegmentationRecord.of_labels(LABELS, repo_id=REPO_ID, fps=FPS, horizon=HORIZON).write(root)
+    return root
+
+
+@pytest.fixture(scope="session")
+def meta(dataset_root: Path) -> LeRobotDatasetMetadata:
+    return LeRobotDatasetMetadata(REPO_ID, root=dataset_root)
+
+
+@pytest.fixture(autouse=True)
+def cache_in_tmp(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lerobot_buds.demos.frames.HF_LEROBOT_HOME", tmp_path_factory.getbasetemp() / "home")
+
+
+@pytest.fixture
+def build(meta: LeRobotDatasetMetadata) -> Callable[..., BudsPolicy]:
+    """Builds small policies on the dataset through LeRobot's own factory; keyword arguments override the sizes."""
+
+    def build(**overrides: Any) -> BudsPolicy:
+        torch.manual_seed(0)
+        return make_policy(BudsConfig(**{**SMALL, **overrides}), ds_meta=meta)
+
+    return build
+
+
+@pytest.fixture
+def batch_of(dataset_root: Path) -> Callable[..., dict[str, Any]]:
+    """Loads rows of the dataset as LeRobot's data loader collates them."""
+    dataset = LeRobotDataset(REPO_ID, root=dataset_root)
+
+    def batch_of(*rows: int) -> dict[str, Any]:
+        return torch.utils.data.default_collate([dataset[row] for row in rows])
+
+    return batch_of
+
+
+@pytest.fixture
+def labels() -> list[np.ndarray]:
+    return LABELS
+
+
+@pytest.fixture
+def horizon() -> int:
+    return HORIZON
+
+
+@pytest.fixture
+def task() -> str:
+    return TASK
+
+
+@pytest.fixture
+def small() -> dict[str, Any]:
+    """Sizes of the small networks, as settings of `BudsConfig`."""
+    return dict(SMALL)

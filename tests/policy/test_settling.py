@@ -1,0 +1,150 @@
+import json
+
+import pytest
+
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot_buds.core import ACTION, EYE_IN_HAND_CAMERA, STATE, WORKSPACE_CAMERA, CheckpointError, ConfigError
+from lerobot_buds.core import SEGMENTATION_FILE, SegmentationError
+from lerobot_buds.policy import BudsConfig
+from lerobot_buds.policy.settling import check_task, settle_state, state_names
+
+
+def config_of(**overrides):
+    features = {
+        "observation.images.front": PolicyFeature(type=FeatureType.VISUAL, shape=(3, 96, 128)),
+        "observation.images.wrist": PolicyFeature(type=FeatureType.VISUAL, shape=(3, 96, 128)),
+        STATE: PolicyFeature(type=FeatureType.STATE, shape=(3,)),
+        "observation.environment_state": PolicyFeature(type=FeatureType.ENV, shape=(2,)),
+    }
+    return BudsConfig(
+        device="cpu",
+        **{
+            "input_features": features,
+            "output_features": {ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(4,))},
+            **overrides,
+        },
+    )
+
+
+def test_the_dataset_fills_the_open_fields(build, task):
+    config = build().config
+    assert (config.n_skills, config.fps, config.tasks) == (2, 20, [task])
+    assert config.current_dims == [0, 1] and config.history_dims == [2, 3]
+    assert config.history_frames == 5 and config.meta_period == 5
+    assert config.cameras == [WORKSPACE_CAMERA, EYE_IN_HAND_CAMERA]
+    assert set(config.input_features) == {WORKSPACE_CAMERA, EYE_IN_HAND_CAMERA, STATE}
+
+
+def test_first_camera_is_the_workspace_where_there_is_no_agent_view():
+    config = config_of()
+    config.validate_features()
+    assert config.cameras == ["observation.images.front", "observation.images.wrist"]
+    assert "observation.environment_state" not in config.input_features
+
+
+@pytest.mark.parametrize(
+    ("names", "current", "history"),
+    [
+        (["joint_1", "joint_2", "gripper"], [0, 1], [2]),
+        (["shoulder", "elbow", "gripper"], [0, 1, 2], []),
+        (["joint_1", "joint_2", "eef_x"], [0, 1], []),
+        ([], [0, 1, 2], []),
+    ],
+)
+def test_state_dimensions_by_name(names, current, history):
+    config = config_of(state_names=names)
+    settle_state(config)
+    assert (config.current_dims, config.history_dims) == (current, history)
+
+
+def test_state_names_in_all_of_lerobots_spellings():
+    def names(value):
+        return state_names({STATE: {"shape": (2,), "names": value}})
+
+    assert names(["a", "b"]) == ["a", "b"]
+    assert names({"motors": ["a", "b"]}) == ["a", "b"]
+    assert names(None) == names(["state"]) == state_names({}) == []
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("encoder", "resnet"),
+        ("norm", "layer"),
+        ("n_skills", 0),
+        ("image_size", 0),
+        ("crop_padding", -1),
+        ("meta_period_s", 0.0),
+        ("kl_weight", -1.0),
+        ("conv_channels", []),
+    ],
+)
+def test_impossible_values_are_refused(field, value):
+    with pytest.raises(ConfigError, match=field):
+        BudsConfig(device="cpu", **{field: value})
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"workspace_camera": "observation.images.frnt"}, "Did you mean 'observation.images.front'"),
+        ({"image_size": 112}, "enlarge"),
+        ({"image_size": 48}, "at least 64 pixels"),
+        ({"output_features": {}}, "action"),
+        ({"input_features": {}}, "at least one camera"),
+    ],
+)
+def test_features_that_do_not_fit_are_refused(overrides, message):
+    with pytest.raises(ConfigError, match=message):
+        config_of(**overrides).validate_features()
+
+
+def test_cameras_of_different_shapes_need_an_image_size():
+    features = {**config_of().input_features}
+    features["observation.images.wrist"] = PolicyFeature(type=FeatureType.VISUAL, shape=(3, 80, 80))
+    with pytest.raises(ConfigError, match="image_size"):
+        config_of(input_features=features).validate_features()
+    config_of(input_features=features, image_size=64).validate_features()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"n_skills": 3}, "n_skills=3.*has 2"),
+        ({"fps": 10}, "fps=10.*has 20"),
+        ({"state_names": ["a", "b", "c", "d", "e"]}, "state_names.*joint_1"),
+        (
+            {"input_features": {WORKSPACE_CAMERA: PolicyFeature(type=FeatureType.VISUAL, shape=(3, 64, 64))}},
+            r"\(3, 64, 64\).*\(3, 32, 32\)",
+        ),
+        (
+            {"input_features": {"observation.images.top": PolicyFeature(type=FeatureType.VISUAL, shape=(3, 32, 32))}},
+            "observation.images.top.*lacks",
+        ),
+    ],
+)
+def test_a_dataset_that_does_not_fit_is_refused_with_both_sides(build, overrides, message):
+    with pytest.raises(CheckpointError, match=message):
+        build(**overrides)
+
+
+def test_an_unsegmented_dataset_is_refused_before_training(build, meta, tmp_path, monkeypatch):
+    monkeypatch.setattr(meta, "root", tmp_path)
+    with pytest.raises(SegmentationError, match=json.dumps(SEGMENTATION_FILE)[1:-1]):
+        build()
+
+
+def test_unknown_tasks_are_refused_near_matches_first():
+    config = config_of(tasks=["Close the drawer", "Boil the pot"])
+    check_task(config, "Boil the pot")
+    with pytest.raises(ConfigError, match="'Close the drawr'.*Did you mean 'Close the drawer'.*'Boil the pot'"):
+        check_task(config, "Close the drawr")
+    with pytest.raises(ConfigError, match="''"):
+        check_task(config, "")
+    check_task(config_of(tasks=["Boil the pot"]), "")
+    check_task(config_of(), "anything")
+
+
+def test_a_dataset_with_an_unknown_task_is_refused(build):
+    with pytest.raises(ConfigError, match="'Close the drawer'.*Known: 'Open the drawer'"):
+        build(tasks=["Open the drawer"])
