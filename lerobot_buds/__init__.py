@@ -3,5 +3,3 @@
 LeRobot finds the plugin by itself, through the module `lerobot_policy_buds`, which imports `lerobot_buds.plugin`.
 Importing this package alone loads neither LeRobot nor torch nor the simulator.
 """
-
-from .policy import BudsConfig as BudsConfig

@@ -3,4 +3,5 @@
 Kept apart from the package itself, so that its numeric parts can be imported without LeRobot or torch.
 """
 
-from .envs import configuration_robosuite as configuration_robosuite
+from lerobot_buds.envs import configuration_robosuite as configuration_robosuite
+from lerobot_buds.policy import configuration_buds as configuration_buds

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import draccus
 
-from ..demos.recording import Recording, Summary, record
-from ..envs import EnvSettings, profile_named, tasks_named
+from lerobot_buds.demos.recording import Recording, Summary, record
+from lerobot_buds.envs import EnvSettings, profile_named, tasks_named
+
 from .running import dataset_root, run
 
 

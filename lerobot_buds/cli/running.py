@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from ..core import BudsError
+from lerobot_buds.core import BudsError
 
 
 def run[T](command: Callable[[], T]) -> T:

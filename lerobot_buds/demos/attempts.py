@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs import TASKS, EnvSettings, RobosuiteEnv
+from lerobot_buds.envs import TASKS, EnvSettings, RobosuiteEnv
+
 from .kitchen import STAGES
 from .motions import Action, Demonstrator, MotionFailedError
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import BudsError
-from ..envs import SimulationView
+from lerobot_buds.core import BudsError
+from lerobot_buds.envs import SimulationView
 
 Vec = NDArray[np.float64]
 Action = NDArray[np.float32]

@@ -25,7 +25,7 @@ from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from ..core import (
+from lerobot_buds.core import (
     ACTION,
     COLLECTION_FILE,
     IMAGE_PREFIX,
@@ -38,7 +38,8 @@ from ..core import (
     write_atomically,
     write_json,
 )
-from ..envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, tasks_named
+from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, tasks_named
+
 from .attempts import Attempt, attempt_in_worker
 
 if TYPE_CHECKING:

@@ -7,7 +7,8 @@ import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs import EnvConfig
 
-from ..core import ACTION, IMAGE_PREFIX, STATE, ConfigError
+from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE, ConfigError
+
 from .loading import check_versions, installed_version
 from .rendering import profile_named
 from .robosuite_env import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings

@@ -6,8 +6,9 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
-from ..core import SimulatorError
-from .rendering import profile_named
+from lerobot_buds.core import SimulatorError
+
+from .rendering import cannot_draw, profile_named
 from .tasks import Task
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def open_simulation(task: Task) -> "TabletopEnv":
 
         logging.getLogger("robosuite_logs").setLevel(logging.ERROR)
     except (AttributeError, ImportError, OSError) as error:
-        raise _no_opengl(error) from error
+        raise cannot_draw(error) from error
     finally:
         logging.disable(quiet_before)
     return TabletopEnv(MultitaskKitchen(task.start, task.goal))
@@ -83,18 +84,6 @@ def open_renderer(simulation: "TabletopEnv", profile: str, size: int) -> "Camera
     Raises:
         SimulatorError: OpenGL cannot draw without a display here.
     """
-    from mujoco import FatalError
-
     from .simulation.renderer import CameraRenderer
 
-    try:
-        return CameraRenderer(simulation.sim, profile_named(profile), size)
-    except (AttributeError, FatalError, ImportError, RuntimeError) as error:
-        raise _no_opengl(error) from error
-
-
-def _no_opengl(error: Exception) -> SimulatorError:
-    return SimulatorError(
-        f"The simulator cannot draw: {error}. Install libEGL (Debian: apt-get install libegl1), or set "
-        f"MUJOCO_GL=osmesa; MUJOCO_GL is now {os.environ.get('MUJOCO_GL', 'unset')!r}."
-    )
+    return CameraRenderer(simulation.sim, profile_named(profile), size)

@@ -4,9 +4,10 @@ Images of different profiles differ, so a profile is chosen once, recorded with 
 evaluation.
 """
 
+import os
 from dataclasses import dataclass
 
-from ..core import ConfigError, near_names
+from lerobot_buds.core import ConfigError, SimulatorError, near_names
 
 
 @dataclass(frozen=True)
@@ -40,3 +41,11 @@ def profile_named(name: str) -> RenderProfile:
     if name not in PROFILES:
         raise ConfigError(f"There is no render profile {name!r}. {near_names(name, PROFILES)}")
     return PROFILES[name]
+
+
+def cannot_draw(error: Exception) -> SimulatorError:
+    """Words the failure to load or use OpenGL without a display as one line with its remedy."""
+    return SimulatorError(
+        f"The simulator cannot draw: {error}. Install libEGL (Debian: apt-get install libegl1 libgl1-mesa-dri), or set "
+        f"MUJOCO_GL=osmesa; MUJOCO_GL is now {os.environ.get('MUJOCO_GL', 'unset')!r}."
+    )

@@ -11,7 +11,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import ConfigError, SimulatorError
+from lerobot_buds.core import ConfigError, SimulatorError
+
 from .loading import open_renderer, open_simulation
 from .rendering import PROFILES, profile_named
 from .tasks import tasks_named

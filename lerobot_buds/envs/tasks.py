@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ..core import ConfigError, near_names
+from lerobot_buds.core import ConfigError, near_names
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
-from ..core import SimulatorError
+from lerobot_buds.core import SimulatorError
+
 from .robosuite_env import EnvSettings, Observation, RobosuiteEnv
 
 logger = logging.getLogger(__name__)

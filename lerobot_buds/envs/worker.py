@@ -7,7 +7,8 @@ closes.
 import sys
 from multiprocessing.connection import Connection
 
-from ..core import SimulatorError
+from lerobot_buds.core import SimulatorError
+
 from .robosuite_env import RobosuiteEnv
 from .vector_env import run_command
 

@@ -1,10 +1,18 @@
 import json
 
 import pytest
-
 from lerobot.configs import FeatureType, PolicyFeature
-from lerobot_buds.core import ACTION, EYE_IN_HAND_CAMERA, STATE, WORKSPACE_CAMERA, CheckpointError, ConfigError
-from lerobot_buds.core import SEGMENTATION_FILE, SegmentationError
+
+from lerobot_buds.core import (
+    ACTION,
+    EYE_IN_HAND_CAMERA,
+    SEGMENTATION_FILE,
+    STATE,
+    WORKSPACE_CAMERA,
+    CheckpointError,
+    ConfigError,
+    SegmentationError,
+)
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.settling import check_task, settle_state, state_names
 

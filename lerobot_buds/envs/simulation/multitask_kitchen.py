@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..tasks import KitchenStart
+from lerobot_buds.envs.tasks import KitchenStart
+
 from .furniture import button, cabinet, cube, pot, serving_region, stove
 from .primitives import Primitive
 from .state import SimulationState

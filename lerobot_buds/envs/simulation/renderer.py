@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rendering import RenderProfile
+from lerobot_buds.envs.rendering import RenderProfile, cannot_draw
 
 _DRAWN, _HIDDEN = 1, 4
 _ARM_COLOUR = (0.82, 0.82, 0.84, 1.0)
@@ -25,12 +25,18 @@ class CameraRenderer:
         sim: robosuite's simulation; the looks of its compiled model are changed to fit the profile.
         profile: What to draw.
         size: Height and width of the images (pixels).
+
+    Raises:
+        SimulatorError: OpenGL cannot draw without a display here.
     """
 
     def __init__(self, sim: Any, profile: RenderProfile, size: int) -> None:
         self._model, self._data = sim.model._model, sim.data._data
         _apply(profile, self._model)
-        self._renderer = mujoco.Renderer(self._model, height=size, width=size)
+        try:
+            self._renderer = mujoco.Renderer(self._model, height=size, width=size)
+        except (AttributeError, ImportError, RuntimeError, mujoco.FatalError) as error:
+            raise cannot_draw(error) from error
         self._options = mujoco.MjvOption()
         self._options.geomgroup[:] = 0
         self._options.geomgroup[_DRAWN] = 1

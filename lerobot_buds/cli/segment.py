@@ -1,0 +1,130 @@
+"""``lerobot-buds-segment``: discovers skills in a LeRobotDataset and writes a labelled copy of it."""
+
+import logging
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import draccus
+from draccus.utils import ParsingError
+
+from lerobot_buds.core import TRUE_STAGE, ConfigError, IntArray, frames_of_seconds
+from lerobot_buds.demos import DatasetFiles, check_demonstrations, read_table
+from lerobot_buds.evaluation import Agreement, agreement
+from lerobot_buds.representation import (
+    Representation,
+    RepresentationConfig,
+    draw_reconstructions,
+    encode_dataset,
+    train_representation,
+)
+from lerobot_buds.segmentation import DiscoveryConfig, SegmentationRecord, draw_timeline, write_segmented_dataset
+
+from .running import dataset_root, run
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass
+class SegmentConfig:
+    """Settings of a segmentation pass.
+
+    Attributes:
+        repo_id: The dataset to segment; it is only read.
+        root: Its folder; None for LeRobot's own place for `repo_id`, where it is downloaded if it is missing.
+        output_repo_id: Name of the labelled copy; None for `repo_id` with ``_skills`` behind it.
+        output_root: Its folder, which must not exist; None for LeRobot's own place for its name.
+        work_dir: Keeps the representation and the pictures; None for ``outputs/segment/`` and the copy's name.
+        subgoal_horizon_s: How far ahead a subgoal lies at most (seconds). Implementation notes: 1.5; multi-task 1.0.
+        representation: Settings of the representation.
+        discovery: Settings of skill discovery.
+    """
+
+    repo_id: str
+    root: str | None = None
+    output_repo_id: str | None = None
+    output_root: str | None = None
+    work_dir: str | None = None
+    subgoal_horizon_s: float = 1.5
+    representation: RepresentationConfig = field(default_factory=RepresentationConfig)
+    discovery: DiscoveryConfig = field(default_factory=DiscoveryConfig)
+
+
+def segment(config: SegmentConfig) -> SegmentationRecord:
+    """Runs the whole pass; an interrupted one goes on where it was.
+
+    Raises:
+        DatasetError: The dataset is damaged or incomplete.
+        SegmentationError: It cannot be segmented as asked, or the output exists.
+        ConfigError: A setting cannot work.
+    """
+    if not config.subgoal_horizon_s > 0:
+        raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
+    root = _local_root(config.repo_id, config.root)
+    output_repo_id = config.output_repo_id or f"{config.repo_id}_skills"
+    work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
+    files = DatasetFiles(root)
+    check_demonstrations(root, cameras=config.representation.cameras)
+    representation = train_representation(root, config.representation, work_dir / "representation")
+    if representation.modalities.cameras:
+        draw_reconstructions(root, representation, work_dir / "reconstructions.png")
+    latents = encode_dataset(root, representation)
+    fps = int(files.info["fps"])
+    labels = config.discovery.build(fps).fit(latents).labels_
+    stages = _true_stages(root) if TRUE_STAGE in files.features else None
+    scores = agreement(labels, stages, fps) if stages else None
+    record = SegmentationRecord.of_labels(
+        labels,
+        repo_id=config.repo_id,
+        fps=fps,
+        horizon=frames_of_seconds(config.subgoal_horizon_s, fps),
+        parameters=asdict(config.discovery),
+        seeds={"representation": config.representation.seed, "discovery": config.discovery.seed},
+        representation=_describe(representation),
+        agreement=asdict(scores) if scores else None,
+    )
+    draw_timeline(work_dir / "timeline.png", labels, fps, stages, _title(record, scores))
+    write_segmented_dataset(root, dataset_root(output_repo_id, config.output_root), output_repo_id, record)
+    logger.info("Pictures are in %s.", work_dir)
+    return record
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    try:
+        config = draccus.parse(SegmentConfig)
+    except ParsingError as error:
+        raise SystemExit(f"error: {error}") from error
+    record = run(lambda: segment(config))
+    print(f"{record.n_skills} skills in {len(record.episodes)} demonstrations")
+    for number, skill in enumerate(record.skills):
+        print(f"  skill {number}: {skill['segments']:.0f} segments of {skill['mean_seconds']:.1f} s on average")
+    if record.agreement:
+        print("  agreement with the true stages: " + _in_words(Agreement(**record.agreement)))
+
+
+def _local_root(repo_id: str, root: str | None) -> Path:
+    place = dataset_root(repo_id, root)
+    if not (place / "meta" / "info.json").exists() and root is None:
+        from lerobot.datasets import LeRobotDataset
+
+        place = Path(LeRobotDataset(repo_id).root)
+    return place
+
+
+def _true_stages(root: Path) -> list[IntArray]:
+    table = read_table(root, [TRUE_STAGE])
+    column = table.columns[TRUE_STAGE]
+    return [column[start:end] for start, end in zip(table.starts, table.ends, strict=True)]
+
+
+def _describe(representation: Representation) -> dict[str, object]:
+    return {"hash": representation.hash, **asdict(representation.config)}
+
+
+def _title(record: SegmentationRecord, scores: Agreement | None) -> str:
+    title = f"{record.source.repo_id}: {record.n_skills} skills in {len(record.episodes)} demonstrations"
+    return f"{title}\n{_in_words(scores)} against the true stages" if scores else title
+
+
+def _in_words(scores: Agreement) -> str:
+    return f"boundary F1 {scores.boundary_f1:.2f} (within {scores.tolerance_s} s), NMI {scores.nmi:.2f}"
