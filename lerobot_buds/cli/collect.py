@@ -13,29 +13,34 @@ from .running import dataset_root, run
 
 @dataclass
 class CollectConfig:
-    """Settings of a recording.
-
-    Attributes:
-        repo_id: The dataset's name, for example ``me/close_and_serve``.
-        task: The task's name.
-        episodes: Number of successful demonstrations wanted.
-        root: The dataset's folder; None for LeRobot's own place for `repo_id`.
-        seed: Seed of the first attempt; below 100,000, where evaluation seeds begin.
-        workers: Parallel processes; 0 for one a core.
-        image_size: Height and width of both cameras (pixels).
-        render_profile: What is drawn: ``fast``, ``fastest`` or ``full``.
-        video: Stores the cameras as video, else as images.
-    """
+    """Settings of a recording."""
 
     repo_id: str
+    """The dataset's name, for example ``me/close_and_serve``."""
+
     task: str = "multitask_kitchen/task3_variant1"
+    """The task's name."""
+
     episodes: int = 40
+    """Number of successful demonstrations wanted."""
+
     root: str | None = None
+    """The dataset's folder; None for LeRobot's own place for `repo_id`."""
+
     seed: int = 0
+    """Seed of the first attempt; below 100,000, where evaluation seeds begin."""
+
     workers: int = 0
+    """Parallel processes; 0 for one a core."""
+
     image_size: int = 128
+    """Height and width of both cameras (pixels)."""
+
     render_profile: str = "fast"
+    """What is drawn: ``fast``, ``fastest`` or ``full``."""
+
     video: bool = True
+    """Stores the cameras as video, else as images."""
 
 
 def collect(config: CollectConfig) -> Summary:

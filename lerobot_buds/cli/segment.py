@@ -26,27 +26,31 @@ logger = logging.getLogger(__name__)
 
 @dataclass
 class SegmentConfig:
-    """Settings of a segmentation pass.
-
-    Attributes:
-        repo_id: The dataset to segment; it is only read.
-        root: Its folder; None for LeRobot's own place for `repo_id`, where it is downloaded if it is missing.
-        output_repo_id: Name of the labelled copy; None for `repo_id` with ``_skills`` behind it.
-        output_root: Its folder, which must not exist; None for LeRobot's own place for its name.
-        work_dir: Keeps the representation and the pictures; None for ``outputs/segment/`` and the copy's name.
-        subgoal_horizon_s: How far ahead a subgoal lies at most (seconds). Implementation notes: 1.5; multi-task 1.0.
-        representation: Settings of the representation.
-        discovery: Settings of skill discovery.
-    """
+    """Settings of a segmentation pass."""
 
     repo_id: str
+    """The dataset to segment; it is only read."""
+
     root: str | None = None
+    """Its folder; None for LeRobot's own place for `repo_id`, where it is downloaded if it is missing."""
+
     output_repo_id: str | None = None
+    """Name of the labelled copy; None for `repo_id` with ``_skills`` behind it."""
+
     output_root: str | None = None
+    """Its folder, which must not exist; None for LeRobot's own place for its name."""
+
     work_dir: str | None = None
+    """Keeps the representation and the pictures; None for ``outputs/segment/`` and the copy's name."""
+
     subgoal_horizon_s: float = 1.5
+    """How far ahead a subgoal lies at most (seconds). Implementation notes: 1.5; multi-task 1.0."""
+
     representation: RepresentationConfig = field(default_factory=RepresentationConfig)
+    """Settings of the representation."""
+
     discovery: DiscoveryConfig = field(default_factory=DiscoveryConfig)
+    """Settings of skill discovery."""
 
 
 def segment(config: SegmentConfig) -> SegmentationRecord:
