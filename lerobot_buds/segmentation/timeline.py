@@ -97,7 +97,7 @@ def _colors(episodes: Sequence[IntArray], kind: str) -> dict[int, Color]:
 
     names = np.unique(np.concatenate(episodes)).tolist()
     if kind == "stages":
-        return {k: colormaps["Greys"](x) for k, x in zip(names, np.linspace(0.3, 0.95, len(names)), strict=True)}
+        return {k: colormaps["Greys"](x) for k, x in zip(names, np.linspace(0.3, 0.85, len(names)), strict=True)}
     if len(names) <= 20:
         palette = colormaps["tab10" if len(names) <= 10 else "tab20"]
         return {k: palette(i) for i, k in enumerate(names)}

@@ -62,22 +62,23 @@ def write_segmented_dataset(
         DatasetError: The source is damaged or incomplete, or the target's disk is too full or cannot be written.
     """
     _check_source(source_root, record)
-    with _only_writer(target_root):
-        if target_root.exists():
-            raise SegmentationError(f"{target_root} exists already; remove it, or choose another target folder.")
-        _remove_leftovers(target_root)
-        needed = _check_space(source_root, target_root)
-        try:
+    needed = sum(path.stat().st_size for path in source_root.rglob("*") if path.is_file()) + _SPARE_BYTES
+    try:
+        with _only_writer(target_root):
+            if target_root.exists():
+                raise SegmentationError(f"{target_root} exists already; remove it, or choose another target folder.")
+            _remove_leftovers(target_root)
+            _check_space(target_root, needed)
             with staged_directory(target_root) as staging:
                 _write_columns(source_root, staging, target_repo_id, record)
                 _copy_records(source_root, staging)
                 record.write(staging)
                 load_labels(staging)
-        except OSError as error:
-            raise DatasetError(
-                f"{target_root} could not be written ({error}). It needs about {needed} bytes on a disk that can be "
-                f"written; nothing was left behind, and {source_root} is untouched."
-            ) from error
+    except OSError as error:
+        raise DatasetError(
+            f"{target_root} could not be written ({error}). It needs about {needed} bytes on a disk that can be "
+            f"written; nothing was left behind, and {source_root} is untouched."
+        ) from error
     logger.info("Wrote %s with %d skills.", target_root, record.n_skills)
 
 
@@ -129,15 +130,13 @@ def _remove_leftovers(target: Path) -> None:
         shutil.rmtree(leftover)
 
 
-def _check_space(source: Path, target: Path) -> int:
-    needed = sum(path.stat().st_size for path in source.rglob("*") if path.is_file()) + _SPARE_BYTES
+def _check_space(target: Path, needed: int) -> None:
     free = shutil.disk_usage(target.parent).free
     if free < needed:
         raise DatasetError(
             f"{target} needs about {needed} bytes, but its disk has only {free} free. Free {needed - free} bytes or "
             "choose a target on another disk. Nothing was written."
         )
-    return needed
 
 
 def _write_columns(source: Path, staging: Path, repo_id: str, record: SegmentationRecord) -> None:
