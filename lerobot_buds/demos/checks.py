@@ -54,8 +54,6 @@ def check_demonstrations(
     if not FPS_RANGE[0] <= files.fps <= FPS_RANGE[1]:
         raise DatasetError(f"{files.root}/meta/info.json: fps={files.fps} is outside {FPS_RANGE}; correct it.")
     table = read_table(root, [*columns, "timestamp", "frame_index", "episode_index"])
-    if len(table.present) == 0:
-        raise DatasetError(f"{files.root} holds no frames: record or download demonstrations first.")
     require_whole(table)
     _check_clock(table)
     warnings = []
@@ -76,14 +74,16 @@ def check_demonstrations(
 
 
 def require_whole(table: FrameTable) -> None:
-    """Refuses a partial download.
+    """Refuses an empty dataset and a partial download.
 
     Args:
         table: Any table of the dataset.
 
     Raises:
-        DatasetError: A row is not there; names the first one.
+        DatasetError: There are no rows, or one is not there; names the first one.
     """
+    if len(table.present) == 0:
+        raise DatasetError(f"{table.root} holds no frames: record or download demonstrations first.")
     if not table.present.all():
         first = table.locate(int(np.argmin(table.present)))
         raise DatasetError(

@@ -1,4 +1,4 @@
-"""Settings of the representation. Light to import, so that command lines can list them without loading torch."""
+"""Settings of the representation."""
 
 from dataclasses import dataclass, field
 

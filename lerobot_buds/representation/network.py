@@ -2,8 +2,8 @@
 
 Sizes follow the released code at 128 pixels; other square sizes use as many halving stages as fit. Three things differ
 on purpose: *every* modality enters the product (the released code forgets the wrist camera), proprioception is
-standardised, and there is no leaky rectifier before the decoder's sigmoid, which made dark pixels hard to reach. There are no
-skip connections.
+standardised, and no leaky rectifier stands before the decoder's sigmoid, where it made dark pixels hard to reach. There
+are no skip connections.
 """
 
 from collections.abc import Mapping, Sequence

@@ -112,6 +112,14 @@ def test_wrong_and_absurd_frame_rates_are_refused(root: Path, tmp_path: Path) ->
         check_demonstrations(root, cache_dir=tmp_path)
 
 
+def test_empty_dataset_is_refused(root: Path, tmp_path: Path) -> None:
+    change_info(root, total_frames=0, total_episodes=0)
+    for path in [*(root / "data").rglob("*.parquet"), *(root / "meta/episodes").rglob("*.parquet")]:
+        path.unlink()
+    with pytest.raises(DatasetError, match="holds no frames"):
+        check_demonstrations(root, cache_dir=tmp_path)
+
+
 def test_dimension_names_of_every_spelling() -> None:
     assert dimension_names({"shape": (2,), "names": ["a", "b"]}) == ["a", "b"]
     assert dimension_names({"shape": (2,), "names": {"motors": ["a", "b"]}}) == ["a", "b"]
