@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import torch
-
 from lerobot.datasets import LeRobotDataset
+
 from lerobot_buds.core import WORKSPACE_CAMERA, CheckpointError, DatasetError, SegmentationError
 from lerobot_buds.demos import read_table
 from lerobot_buds.policy.labels import LabelTable, history_rows

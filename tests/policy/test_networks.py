@@ -1,8 +1,8 @@
 import pytest
 import torch
+from lerobot.configs import FeatureType, PolicyFeature
 from torch import nn
 
-from lerobot.configs import FeatureType, PolicyFeature
 from lerobot_buds.core import ACTION, EYE_IN_HAND_CAMERA, STATE, WORKSPACE_CAMERA
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.encoders import SpatialSoftmax, make_conv_trunk, make_norm

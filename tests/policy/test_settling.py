@@ -1,10 +1,21 @@
 import json
+from dataclasses import dataclass
+from pathlib import Path
 
+import draccus
 import pytest
+from lerobot.configs import FeatureType, PolicyFeature, PreTrainedConfig
 
-from lerobot.configs import FeatureType, PolicyFeature
-from lerobot_buds.core import ACTION, EYE_IN_HAND_CAMERA, STATE, WORKSPACE_CAMERA, CheckpointError, ConfigError
-from lerobot_buds.core import SEGMENTATION_FILE, SegmentationError
+from lerobot_buds.core import (
+    ACTION,
+    EYE_IN_HAND_CAMERA,
+    SEGMENTATION_FILE,
+    STATE,
+    WORKSPACE_CAMERA,
+    CheckpointError,
+    ConfigError,
+    SegmentationError,
+)
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.settling import check_task, settle_state, state_names
 
@@ -137,7 +148,7 @@ def test_an_unsegmented_dataset_is_refused_before_training(build, meta, tmp_path
 def test_unknown_tasks_are_refused_near_matches_first():
     config = config_of(tasks=["Close the drawer", "Boil the pot"])
     check_task(config, "Boil the pot")
-    with pytest.raises(ConfigError, match="'Close the drawr'.*Did you mean 'Close the drawer'.*'Boil the pot'"):
+    with pytest.raises(ConfigError, match=r"'Close the drawr'.*Did you mean 'Close the drawer'.*'Boil the pot'"):
         check_task(config, "Close the drawr")
     with pytest.raises(ConfigError, match="''"):
         check_task(config, "")
@@ -146,5 +157,26 @@ def test_unknown_tasks_are_refused_near_matches_first():
 
 
 def test_a_dataset_with_an_unknown_task_is_refused(build):
-    with pytest.raises(ConfigError, match="'Close the drawer'.*Known: 'Open the drawer'"):
+    with pytest.raises(ConfigError, match=r"'Close the drawer'.*Known: 'Open the drawer'"):
         build(tasks=["Open the drawer"])
+
+
+def load(name, *overrides):
+    """Parses a policy file the way the console scripts do."""
+
+    @dataclass
+    class Run:
+        policy: PreTrainedConfig
+
+    file = Path(__file__).parents[2] / "configs/policy" / name
+    return draccus.parse(Run, args=[f"--policy=include {file}", *overrides]).policy
+
+
+def test_the_paper_file_spells_out_the_defaults():
+    assert load("buds.yaml", "--policy.device=cpu") == BudsConfig(device="cpu")
+
+
+def test_the_cpu_preset_is_small_and_takes_overrides():
+    config = load("buds_cpu.yaml", "--policy.optimizer_lr=0.5")
+    assert (config.encoder, config.norm, config.image_size, config.optimizer_lr) == ("conv", "group", 64, 0.5)
+    assert not config.push_to_hub
