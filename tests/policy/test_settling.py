@@ -122,6 +122,7 @@ def test_cameras_of_different_shapes_need_an_image_size():
     ("overrides", "message"),
     [
         ({"n_skills": 3}, "n_skills=3.*has 2"),
+        ({"segmentation": "0123"}, "segmentation='0123'.*policy.segmentation=null"),
         ({"fps": 10}, "fps=10.*has 20"),
         ({"state_names": ["a", "b", "c", "d", "e"]}, "state_names.*joint_1"),
         (
