@@ -67,6 +67,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
 
     # Filled from the dataset
     n_skills: int | None = None
+    segmentation: str | None = None  # hash of the labels: under another segmentation skill ids mean something else
     fps: int | None = None
     tasks: list[str] = field(default_factory=list)
     state_names: list[str] = field(default_factory=list)

@@ -28,9 +28,9 @@ def random_shift(images: Tensor, padding: int) -> Tensor:
     """
     if padding == 0:
         return images
-    batch, _, height, width = images.shape
-    shifts = torch.randint(-padding, padding + 1, (2, batch, 1), device=images.device)
-    rows = (torch.arange(height, device=images.device) + shifts[0]).clamp(0, height - 1)  # (B, H)
-    columns = (torch.arange(width, device=images.device) + shifts[1]).clamp(0, width - 1)  # (B, W)
-    samples = torch.arange(batch, device=images.device)[:, None, None]
-    return images.permute(0, 2, 3, 1)[samples, rows[:, :, None], columns[:, None, :]].permute(0, 3, 1, 2)
+    batch, channels, height, width = images.shape
+    shifts = torch.randint(-padding, padding + 1, (2, batch, 1, 1), device=images.device)
+    rows = (torch.arange(height, device=images.device)[:, None] + shifts[0]).clamp(0, height - 1)  # (B, H, 1)
+    columns = (torch.arange(width, device=images.device) + shifts[1]).clamp(0, width - 1)  # (B, 1, W)
+    pixels = (rows * width + columns).view(batch, 1, -1).expand(-1, channels, -1)
+    return images.flatten(start_dim=2).gather(2, pixels).view_as(images)

@@ -115,6 +115,6 @@ class LabelTable:
         device = index.device
         return Supervision(
             skill=torch.from_numpy(self.skill[rows]).to(device),
-            goals=torch.from_numpy(self.goals[goals]).to(device).float() / 255,
+            goals=torch.from_numpy(self.goals[goals]).to(device).float().div_(255),
             history=torch.from_numpy(history).to(device),
         )

@@ -5,12 +5,16 @@ from typing import Any
 
 from lerobot.utils.feature_utils import dataset_to_policy_features
 
-from lerobot_buds.core import STATE, CheckpointError, ConfigError, near_names, select_dims
+from lerobot_buds.core import STATE, CheckpointError, ConfigError, near_names, select_dims, sha256_of_json
 from lerobot_buds.segmentation import load_labels
 
 from .configuration_buds import PAPER_FPS, BudsConfig
 
 logger = logging.getLogger(__name__)
+
+_OTHER_LABELS = (
+    " Its skill ids need not mean the same. If they do (both come from one partition), pass --policy.segmentation=null."
+)
 
 
 def settle_on_dataset(config: BudsConfig, meta: Any) -> None:
@@ -22,12 +26,14 @@ def settle_on_dataset(config: BudsConfig, meta: Any) -> None:
 
     Raises:
         SegmentationError: The dataset has no valid labels.
-        CheckpointError: Number of skills, frame rate, cameras or state differ from what the configuration says.
+        CheckpointError: Number of skills, labels, frame rate, cameras or state differ from what the configuration says.
         ConfigError: The dataset has tasks that the configuration does not know.
     """
     _check_features(config, meta)
     record, _, _ = load_labels(meta.root)
     config.n_skills = _agree("n_skills", config.n_skills, int(record.n_skills), meta.root)
+    labels = sha256_of_json([episode.sha256 for episode in record.episodes])
+    config.segmentation = _agree("segmentation", config.segmentation, labels, meta.root, _OTHER_LABELS)
     config.fps = _agree("fps", config.fps, int(meta.fps), meta.root)
     names = state_names(meta.features)
     config.state_names = _agree("state_names", config.state_names or None, names, meta.root)
@@ -112,7 +118,7 @@ def _check_features(config: BudsConfig, meta: Any) -> None:
             raise CheckpointError(f"{key}: the policy was made for shape {expected}, {meta.root} has {found}.")
 
 
-def _agree[T](name: str, configured: T | None, stored: T, root: Any) -> T:
+def _agree[T](name: str, configured: T | None, stored: T, root: Any, remedy: str = "") -> T:
     if configured is not None and configured != stored:
-        raise CheckpointError(f"The policy was made for {name}={configured!r}, but {root} has {stored!r}.")
+        raise CheckpointError(f"The policy was made for {name}={configured!r}, but {root} has {stored!r}.{remedy}")
     return stored

@@ -132,3 +132,13 @@ def test_meta_losses_learn_separable_skills():
     # A double softmax could not get below ln(1 + 1/e) = 0.31.
     assert losses.skill_id < 0.05 and losses.accuracy == 1
     assert losses.kl > 0
+
+
+@pytest.mark.parametrize("norm", ["batch", "group"])
+def test_resnets_train_on_a_single_sample(norm):
+    config = paper_config(norm=norm, image_size=64, n_skills=1)
+    images, skill = torch.rand(1, 6, 64, 64), torch.zeros(1, dtype=torch.int64)
+    library, meta = SkillLibrary(config).train(), MetaController(config).train()
+    subgoal = library.encode_subgoals(skill, images[:, :3])
+    assert library(skill, images, subgoal, torch.rand(1, 17)).shape == (1, 4)
+    assert torch.isfinite(meta.losses(images[:, :3], skill, subgoal.detach()).subgoal)

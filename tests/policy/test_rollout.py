@@ -129,7 +129,7 @@ def test_chunks_have_length_one(build, observe):
 def test_inputs_that_do_not_fit_are_refused(build, observe):
     policy = build()
     observation = observe(0)
-    with pytest.raises(CheckpointError, match="needs.*agentview.*It has"):
+    with pytest.raises(CheckpointError, match=r"needs.*agentview.*It has"):
         policy.select_action({k: v for k, v in observation.items() if k != WORKSPACE_CAMERA})
     with pytest.raises(CheckpointError, match=r"\(3, 32, 32\).*\(3, 48, 48\)"):
         policy.select_action({**observation, WORKSPACE_CAMERA: torch.zeros(1, 3, 48, 48)})
@@ -137,7 +137,7 @@ def test_inputs_that_do_not_fit_are_refused(build, observe):
         policy.select_action({**observation, WORKSPACE_CAMERA: torch.zeros(1, 32, 32, 3)})
     with pytest.raises(CheckpointError, match=r"\(5,\).*\(4,\)"):
         policy.select_action({**observation, STATE: torch.zeros(1, 4)})
-    with pytest.raises(ConfigError, match="'Close the drawr'.*Did you mean 'Close the drawer'"):
+    with pytest.raises(ConfigError, match=r"'Close the drawr'.*Did you mean 'Close the drawer'"):
         policy.select_action({**observation, "task": ["Close the drawr"]})
     policy.select_action({**observation, "task": [""]})
 

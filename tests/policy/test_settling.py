@@ -1,7 +1,10 @@
 import json
+from dataclasses import dataclass
+from pathlib import Path
 
+import draccus
 import pytest
-from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.configs import FeatureType, PolicyFeature, PreTrainedConfig
 
 from lerobot_buds.core import (
     ACTION,
@@ -119,6 +122,7 @@ def test_cameras_of_different_shapes_need_an_image_size():
     ("overrides", "message"),
     [
         ({"n_skills": 3}, "n_skills=3.*has 2"),
+        ({"segmentation": "0123"}, "segmentation='0123'.*policy.segmentation=null"),
         ({"fps": 10}, "fps=10.*has 20"),
         ({"state_names": ["a", "b", "c", "d", "e"]}, "state_names.*joint_1"),
         (
@@ -145,7 +149,7 @@ def test_an_unsegmented_dataset_is_refused_before_training(build, meta, tmp_path
 def test_unknown_tasks_are_refused_near_matches_first():
     config = config_of(tasks=["Close the drawer", "Boil the pot"])
     check_task(config, "Boil the pot")
-    with pytest.raises(ConfigError, match="'Close the drawr'.*Did you mean 'Close the drawer'.*'Boil the pot'"):
+    with pytest.raises(ConfigError, match=r"'Close the drawr'.*Did you mean 'Close the drawer'.*'Boil the pot'"):
         check_task(config, "Close the drawr")
     with pytest.raises(ConfigError, match="''"):
         check_task(config, "")
@@ -154,5 +158,26 @@ def test_unknown_tasks_are_refused_near_matches_first():
 
 
 def test_a_dataset_with_an_unknown_task_is_refused(build):
-    with pytest.raises(ConfigError, match="'Close the drawer'.*Known: 'Open the drawer'"):
+    with pytest.raises(ConfigError, match=r"'Close the drawer'.*Known: 'Open the drawer'"):
         build(tasks=["Open the drawer"])
+
+
+def load(name, *overrides):
+    """Parses a policy file the way the console scripts do."""
+
+    @dataclass
+    class Run:
+        policy: PreTrainedConfig
+
+    file = Path(__file__).parents[2] / "configs/policy" / name
+    return draccus.parse(Run, args=[f"--policy=include {file}", *overrides]).policy
+
+
+def test_the_paper_file_spells_out_the_defaults():
+    assert load("buds.yaml", "--policy.device=cpu") == BudsConfig(device="cpu")
+
+
+def test_the_cpu_preset_is_small_and_takes_overrides():
+    config = load("buds_cpu.yaml", "--policy.optimizer_lr=0.5")
+    assert (config.encoder, config.norm, config.image_size, config.optimizer_lr) == ("conv", "group", 64, 0.5)
+    assert not config.push_to_hub

@@ -13,6 +13,7 @@ from safetensors.torch import load_file
 from lerobot_buds.core import TRUE_STAGE, ConfigError
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
+CONFIGS = Path(__file__).parents[2] / "configs"
 LABEL_COLUMNS = {"skill_id", "subgoal_index", "frame_index", TRUE_STAGE}
 
 
@@ -93,6 +94,19 @@ def test_fresh_resumed_and_fine_tuned_runs_have_their_labels(train, fresh, tmp_p
 def test_held_out_episodes_and_subsets_keep_absolute_indices(train, fresh, tmp_path):
     calls = train(*fresh, f"--output_dir={tmp_path / 'run'}", "--dataset.episodes=[1,2]", "--save_checkpoint=false")
     assert all(12 <= index < 30 for call in calls for index in call["index"])
+
+
+def test_configuration_files_train(train, fresh, tmp_path):
+    data = [argument for argument in fresh if "--policy" not in argument and "steps" not in argument]
+    small = ["--steps=2", "--save_checkpoint=false"]
+    preset = f"--policy=include {CONFIGS / 'policy/buds_cpu.yaml'}"
+    split = ["--dataset.eval_split=0.34", "--eval_steps=1"]
+    calls = train(preset, "--policy.image_size=32", *data, *small, *split, f"--output_dir={tmp_path / 'a'}")
+    # Frames 12 to 29 belong to the held-out episodes; LeRobot rounds their number up.
+    assert {index >= 12 for call in calls for index in call["index"]} == {False, True}
+    experiment = f"--config_path={CONFIGS / 'train_demo.yaml'}"
+    calls = train(experiment, "--policy.image_size=32", *data, *small, f"--output_dir={tmp_path / 'b'}")
+    assert len(calls) == 2
 
 
 def test_training_reduces_the_loss(build, batch_of):
