@@ -122,7 +122,7 @@ def check_decoder(installation: Installation) -> Finding:
         try:
             installation.load(module)
         except (ImportError, OSError, RuntimeError) as error:
-            failures.append(f"{name} does not load ({str(error).strip().split('\n')[0]})")
+            failures.append(f"{name} does not load ({str(error).partition('\n')[0].partition('. ')[0]})")
             continue
         if not failures:
             return Finding("decoder", "ok", name)
