@@ -12,7 +12,7 @@ help: ## list the targets
 setup: ## install everything into .venv (and system packages, as root on Debian)
 	scripts/setup.sh
 
-demo: $(READY) ## collect, segment, train and evaluate one task; about 15 minutes on two cores
+demo: $(READY) ## collect, segment, train and evaluate one task
 	scripts/demo.sh
 
 test: $(READY) ## run all tests

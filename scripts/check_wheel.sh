@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs the built wheel with plain pip into a fresh environment, first without and then with the simulator, and checks
 # that LeRobot's own commands know the policy and the environment. Neither way may compile anything or leave two OpenCVs.
-# Downloads about 3 GB where pip's cache is empty.
+# Needs `make setup`. Downloads about 3 GB where pip's cache is empty.
 #
 #   scripts/check_wheel.sh [FOLDER]     # FOLDER keeps the environment for a look afterwards
 set -euo pipefail

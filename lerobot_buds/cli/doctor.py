@@ -109,7 +109,7 @@ def check_rendering(installation: Installation) -> Finding:
     try:
         frame = installation.render()
     except SimulatorError as error:
-        remedy = "apt-get install libegl1 libgl1-mesa-dri, or set MUJOCO_GL=osmesa with libosmesa6 installed"
+        remedy = "apt-get install libegl1 libgl1-mesa-dri libopengl0, or set MUJOCO_GL=osmesa and install libosmesa6"
         return Finding("rendering", "FAIL", str(error), remedy)
     height, width = frame.shape[:2]
     return Finding("rendering", "ok", f"drew {height}x{width} pixels with MUJOCO_GL={os.environ.get('MUJOCO_GL')}")
@@ -122,7 +122,7 @@ def check_decoder(installation: Installation) -> Finding:
         try:
             installation.load(module)
         except (ImportError, OSError, RuntimeError) as error:
-            failures.append(f"{name} does not load ({str(error).strip().split('\n')[0]})")
+            failures.append(f"{name} does not load ({str(error).partition('\n')[0].partition('. ')[0]})")
             continue
         if not failures:
             return Finding("decoder", "ok", name)

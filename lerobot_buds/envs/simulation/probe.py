@@ -1,11 +1,15 @@
 """Renders one frame, to find out whether the simulator can draw on this machine at all."""
 
 import os
+from ctypes import ArgumentError
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core import SimulatorError
+
+# What MuJoCo's import ends in: no driver or no such backend, no libEGL, no libOpenGL, a library that does not load.
+_LOADING_ERRORS = (ImportError, RuntimeError, AttributeError, ArgumentError, OSError)
 
 SCENE = '<mujoco><worldbody><geom type="sphere" size="0.3"/></worldbody></mujoco>'
 
@@ -25,10 +29,7 @@ def render_frame(size: int = 64) -> NDArray[np.uint8]:
     backend = os.environ.setdefault("MUJOCO_GL", "egl")
     try:
         import mujoco
-
-        drawing_errors = (ImportError, AttributeError, OSError, RuntimeError, mujoco.FatalError)
-    # No library and no such backend end in different ones of these.
-    except (ImportError, AttributeError, OSError, RuntimeError) as error:
+    except _LOADING_ERRORS as error:
         raise SimulatorError(f"MuJoCo cannot be loaded with MUJOCO_GL={backend}: {error}") from error
     try:
         model = mujoco.MjModel.from_xml_string(SCENE)
@@ -37,7 +38,7 @@ def render_frame(size: int = 64) -> NDArray[np.uint8]:
         with mujoco.Renderer(model, size, size) as renderer:
             renderer.update_scene(data)
             frame: NDArray[np.uint8] = renderer.render()
-    except drawing_errors as error:
+    except (*_LOADING_ERRORS, mujoco.FatalError) as error:
         raise SimulatorError(f"MuJoCo cannot render with MUJOCO_GL={backend}: {error}") from error
     if not frame.any():
         raise SimulatorError(f"MuJoCo renders nothing but black with MUJOCO_GL={backend}.")
