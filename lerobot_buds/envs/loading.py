@@ -1,5 +1,6 @@
 """Loads the simulator at first use, and says in one line what is missing where that fails."""
 
+import ctypes
 import logging
 import os
 import platform
@@ -71,7 +72,12 @@ def open_simulation(task: Task) -> "TabletopEnv":
         from .simulation.tabletop import TabletopEnv
 
         logging.getLogger("robosuite_logs").setLevel(logging.ERROR)
-    except (AttributeError, ImportError, OSError) as error:
+    except (
+        AttributeError,
+        ImportError,
+        OSError,
+        ctypes.ArgumentError,
+    ) as error:  # as PyOpenGL reports a missing library
         raise cannot_draw(error) from error
     finally:
         logging.disable(quiet_before)

@@ -46,6 +46,6 @@ def profile_named(name: str) -> RenderProfile:
 def cannot_draw(error: Exception) -> SimulatorError:
     """Words the failure to load or use OpenGL without a display as one line with its remedy."""
     return SimulatorError(
-        f"The simulator cannot draw: {error}. Install libEGL (Debian: apt-get install libegl1 libgl1-mesa-dri), or set "
-        f"MUJOCO_GL=osmesa; MUJOCO_GL is now {os.environ.get('MUJOCO_GL', 'unset')!r}."
+        f"The simulator cannot draw: {error}. Install OpenGL (Debian: apt-get install libegl1 libgl1-mesa-dri "
+        f"libopengl0), or set MUJOCO_GL=osmesa; MUJOCO_GL is now {os.environ.get('MUJOCO_GL', 'unset')!r}."
     )

@@ -165,34 +165,40 @@ class DiscoveryConfig:
     """Settings of skill discovery, with durations in seconds so that they hold at any frame rate.
 
     The defaults are those published for the Kitchen task (20 frames per second).
-
-    Attributes:
-        window_s: Length of the tree's bottom elements (seconds). Paper: 10 frames.
-        max_skills: Most skills K_max. Implementation notes: 8 for Kitchen, 6 for Tool-Use and Hammer-Place, 10 for
-            Multitask-Kitchen.
-        n_skills: If given, exactly this many skills, none dissolved. Ours; for the paper's table over K.
-        segments_per_episode: Temporal segments per demonstration; None for twice the skills. Implementation notes: 2.
-        min_segment_s: Nodes of the tree up to this long are not split (seconds). Ours: two windows; the paper leaves it
-            open.
-        min_skill_s: Shortest mean segment of a skill (seconds). Released commands: 30 frames for Kitchen; 35 frames for
-            Hammer-Place, 20 for Multitask-Kitchen.
-        num_keyframes: Latents that describe a segment. Released code: 5 for the kitchens, 3 for the others.
-        length_penalty: Penalty per second of merged length in the tree, relative to the median distance between
-            neighbouring bottom elements. Released code: 1/5 per frame, on latents of arbitrary scale; 0 is the paper.
-        passes: Times the segments are clustered. Released code: 2.
-        seed: Seed of the clustering. Ours; the release is not seeded.
     """
 
     window_s: float = 0.5
+    """Length of the tree's bottom elements (seconds). Paper: 10 frames."""
+
     max_skills: int = 8
+    """Most skills K_max. Implementation notes: 8 for Kitchen, 6 for Tool-Use and Hammer-Place, 10 for Multitask-
+    Kitchen."""
+
     n_skills: int | None = None
+    """If given, exactly this many skills, none dissolved. Ours; for the paper's table over K."""
+
     segments_per_episode: int | None = None
+    """Temporal segments per demonstration; None for twice the skills. Implementation notes: 2."""
+
     min_segment_s: float = 1.0
+    """Nodes of the tree up to this long are not split (seconds). Ours: two windows; the paper leaves it open."""
+
     min_skill_s: float = 1.5
+    """Shortest mean segment of a skill (seconds). Released commands: 30 frames for Kitchen; 35 frames for Hammer-
+    Place, 20 for Multitask-Kitchen."""
+
     num_keyframes: int = 5
+    """Latents that describe a segment. Released code: 5 for the kitchens, 3 for the others."""
+
     length_penalty: float = 4.0
+    """Penalty per second of merged length in the tree, relative to the median distance between neighbouring bottom
+    elements. Released code: 1/5 per frame, on latents of arbitrary scale; 0 is the paper."""
+
     passes: int = 2
+    """Times the segments are clustered. Released code: 2."""
+
     seed: int = 0
+    """Seed of the clustering. Ours; the release is not seeded."""
 
     def build(self, fps: float) -> SkillDiscovery:
         """Makes the estimator for a frame rate (frames per second)."""
