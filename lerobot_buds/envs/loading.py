@@ -68,7 +68,7 @@ def open_simulation(task: Task) -> "TabletopEnv":
     quiet_before = logging.root.manager.disable
     logging.disable(logging.WARNING)  # robosuite warns about optional packages that nothing here uses
     try:
-        from .simulation.multitask_kitchen import MultitaskKitchen
+        from .simulation.scenes import build_scene
         from .simulation.tabletop import TabletopEnv
 
         logging.getLogger("robosuite_logs").setLevel(logging.ERROR)
@@ -81,7 +81,7 @@ def open_simulation(task: Task) -> "TabletopEnv":
         raise cannot_draw(error) from error
     finally:
         logging.disable(quiet_before)
-    return TabletopEnv(MultitaskKitchen(task.start, task.goal))
+    return TabletopEnv(build_scene(task))
 
 
 def open_renderer(simulation: "TabletopEnv", profile: str, size: int) -> "CameraRenderer":

@@ -1,0 +1,16 @@
+"""The scenes by name."""
+
+from collections.abc import Callable
+
+from lerobot_buds.envs.tasks import Task
+
+from .multitask_kitchen import MultitaskKitchen
+from .tabletop import Scene
+
+SCENES: dict[str, Callable[[frozenset[str], tuple[str, ...]], Scene]] = {"multitask_kitchen": MultitaskKitchen}
+"""Scene name -> constructor, which takes the task's start and goal."""
+
+
+def build_scene(task: Task) -> Scene:
+    """Builds the scene of a task."""
+    return SCENES[task.scene](task.start, task.goal)
