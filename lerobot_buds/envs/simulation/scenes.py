@@ -4,10 +4,16 @@ from collections.abc import Callable
 
 from lerobot_buds.envs.tasks import Task
 
+from .kitchen import Kitchen
 from .multitask_kitchen import MultitaskKitchen
+from .real_kitchen import RealKitchen
 from .tabletop import Scene
 
-SCENES: dict[str, Callable[[frozenset[str], tuple[str, ...]], Scene]] = {"multitask_kitchen": MultitaskKitchen}
+SCENES: dict[str, Callable[[frozenset[str], tuple[str, ...]], Scene]] = {
+    "kitchen": Kitchen,
+    "multitask_kitchen": MultitaskKitchen,
+    "real_kitchen": RealKitchen,
+}
 """Scene name -> constructor, which takes the task's start and goal."""
 
 
