@@ -5,25 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from .motions import Action, Demonstrator, Vec
-from .vocabulary import Stage, draw_back, push
+from .vocabulary import Stage, push
 
-_HANDLE_BAR = np.array([0.0, -0.16, 0.04])  # in the drawer's frame (m)
 _REGION_X = 0.15
 _PUSH_HEIGHT = 0.935
-
-
-def close_drawer(hand: Demonstrator) -> Iterator[Action]:
-    """Pushes the open drawer shut with the closed hand, then draws back from it."""
-    state = hand.state
-    # The bar is 18 mm thick: too high, and the hand passes over it.
-    before = np.array([0.0, 0.07, 0.004]) + hand.jitter(0.01) * (1.0, 1.0, 0.3)
-
-    def before_bar() -> Vec:
-        bar: Vec = state.point_on("cabinet_drawer", _HANDLE_BAR) + before
-        return bar
-
-    yield from push(hand, before_bar, (0.0, -1.0, 0.0), until=lambda: state.joint("cabinet_slide") > -0.003)
-    yield from draw_back(hand, (-0.02, 0.05, 0.02), (0.0, 0.07, 0.05))
 
 
 def push_pot(hand: Demonstrator) -> Iterator[Action]:
@@ -41,5 +26,5 @@ def push_pot(hand: Demonstrator) -> Iterator[Action]:
     )
 
 
-STAGES: dict[str, Stage] = {"close_drawer": close_drawer, "push_pot": push_pot}
-"""Every stage by the name that tasks list it under."""
+STAGES: dict[str, Stage] = {"push_pot": push_pot}
+"""The stages that this module knows."""
