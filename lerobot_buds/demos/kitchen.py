@@ -10,7 +10,6 @@ import numpy as np
 from .motions import Action, Demonstrator, Target, Vec
 from .vocabulary import Stage, carry, draw_back, grasp, lift, push, release
 
-_DRAWER_BAR = np.array([0.0, -0.16, 0.04])  # in the drawer's frame
 _PAD = np.array([0.0, 0.0, 0.08])  # in the switch's frame
 # In the pot's frame: the handle away from the cabinet, whose own handle would stop the hand, 6 mm below the bar's
 # centre, where the pot tilts least.
@@ -19,20 +18,6 @@ _LEVER_TURNED = 0.12  # rad
 _PUSH_HEIGHT = 0.935
 _POT_ON_STOVE = 0.026  # the pot's origin above the stove's
 _POT_ON_TABLE = 0.9045
-
-
-def close_drawer(hand: Demonstrator) -> Iterator[Action]:
-    """Pushes the open drawer shut with the closed hand, then draws back from it."""
-    state = hand.state
-    # The bar is 18 mm thick: too high, and the hand passes over it.
-    before = np.array([0.0, 0.07, 0.004]) + hand.jitter(0.01) * (1.0, 1.0, 0.3)
-
-    def before_bar() -> Vec:
-        bar: Vec = state.point_on("cabinet_drawer", _DRAWER_BAR) + before
-        return bar
-
-    yield from push(hand, before_bar, (0.0, -1.0, 0.0), until=lambda: state.joint("cabinet_slide") > -0.003)
-    yield from draw_back(hand, (-0.02, 0.05, 0.02), (0.0, 0.07, 0.05))
 
 
 def turn_on(hand: Demonstrator) -> Iterator[Action]:
@@ -134,7 +119,6 @@ def _turn_lever(hand: Demonstrator, side: float) -> Iterator[Action]:
 
 
 STAGES: dict[str, Stage] = {
-    "close_drawer": close_drawer,
     "turn_on": turn_on,
     "turn_off": turn_off,
     "cube_in_pot": cube_in_pot,
@@ -142,4 +126,4 @@ STAGES: dict[str, Stage] = {
     "pot_off_stove": pot_off_stove,
     "push_pot": push_pot,
 }
-"""Every stage by the name that tasks list it under."""
+"""The stages that this module knows."""

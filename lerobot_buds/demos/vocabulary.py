@@ -56,7 +56,7 @@ def grasp(
 
 def lift(hand: Demonstrator, height: float) -> Iterator[Action]:
     """Raises the hand, and what it holds, by at least this height (m)."""
-    top = hand.state.hand + (0.0, 0.0, height * hand.rng.uniform(1.0, 1.2))
+    top = hand.state.hand + np.array([0.0, 0.0, height * hand.rng.uniform(1.0, 1.2)])
     yield from hand.move(lambda: top, tolerance=0.015)
 
 
@@ -81,7 +81,7 @@ def release(hand: Demonstrator, rise: float) -> Iterator[Action]:
 
 
 def sweep(
-    hand: Demonstrator, along: Sequence[float], until: Callable[[], bool], through: Target | None = None
+    hand: Demonstrator, along: Sequence[float] | Vec, until: Callable[[], bool], through: Target | None = None
 ) -> Iterator[Action]:
     """Moves straight in one direction and takes along what the hand holds or meets: a pull as well as a push.
 
@@ -105,7 +105,7 @@ def sweep(
 def push(
     hand: Demonstrator,
     start: Target,
-    along: Sequence[float],
+    along: Sequence[float] | Vec,
     until: Callable[[], bool],
     hover: tuple[float, float] | None = None,
 ) -> Iterator[Action]:
@@ -125,7 +125,7 @@ def push(
     yield from sweep(hand, along, until, through=start)
 
 
-def draw_back(hand: Demonstrator, low: Sequence[float], high: Sequence[float]) -> Iterator[Action]:
+def draw_back(hand: Demonstrator, low: Sequence[float] | Vec, high: Sequence[float] | Vec) -> Iterator[Action]:
     """Moves away by a displacement drawn between two corners (m), with the present grip."""
     back = hand.state.hand + hand.rng.uniform(low, high)
     yield from hand.move(lambda: back, tolerance=0.025)

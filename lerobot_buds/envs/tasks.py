@@ -17,8 +17,8 @@ class Task:
         start: Facts that hold at the start and do not in the scene's plain arrangement.
         goal: Names of the facts that must all hold at once.
         stages: The demonstrator's stages, in their usual order.
-        needs: Which stages must come before a stage; where it names none for a stage, all those listed before it.
         max_steps: Default episode length (control steps), from the original's README.
+        needs: Which stages must come before a stage; where it names none for a stage, all those listed before it.
     """
 
     name: str
@@ -27,8 +27,8 @@ class Task:
     start: frozenset[str]
     goal: tuple[str, ...]
     stages: tuple[str, ...]
-    needs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     max_steps: int = 2500
+    needs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def suite(self) -> str:
@@ -73,7 +73,7 @@ TASKS: dict[str, Task] = {
     task.name: task
     for task in (
         Task(
-            name="kitchen/cook_and_serve",
+            name="kitchen/full",
             description="turn on the stove, cook the cube in the pot, serve the pot and turn off the stove",
             scene="kitchen",
             start=frozenset(),
@@ -92,12 +92,12 @@ TASKS: dict[str, Task] = {
         _multitask(3, 2, set(), "cube_in_pot", "push_pot"),
         _multitask(3, 3, {"drawer_open"}, "close_drawer", "cube_in_pot", "push_pot"),
         Task(
-            name="real_kitchen/clear_pot",
+            name="real_kitchen/full",
             description="take the lid off the pot, put the pot on the tray and push them aside with the tool",
             scene="real_kitchen",
             start=frozenset(),
             goal=("lid_off", "pot_on_tray", "tray_aside", "tool_has_been_lifted", "tool_put_down"),
-            stages=("lid_off", "pot_on_tray", "take_tool", "push_tray", "put_tool_down"),
+            stages=("take_lid_off", "pot_on_tray", "take_tool", "push_tray", "put_tool_down"),
         ),
     )
 }
