@@ -50,7 +50,8 @@ def attempt(env: RobosuiteEnv, seed: int) -> Attempt:
     success = False
     stage = 0
     try:
-        for stage, action in _script(env, seed):
+        for stage, wish in _script(env, seed):
+            action = env.executed(wish)
             for name, value in _row(observation, action, stage).items():
                 rows.setdefault(name, []).append(value)
             observation, _, success, _, _ = env.step(action)

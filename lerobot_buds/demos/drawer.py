@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from .motions import Action, Demonstrator, Target, Vec
-from .vocabulary import Stage, draw_back, grasp, push, release, sweep
+from .vocabulary import Stage, draw_back, grasp, push, release, sweep, up
 
 _HANDLE_BAR = np.array([0.0, -0.16, 0.04])  # in the drawer's frame (m)
 
@@ -13,7 +13,8 @@ _HANDLE_BAR = np.array([0.0, -0.16, 0.04])  # in the drawer's frame (m)
 def open_drawer(hand: Demonstrator) -> Iterator[Action]:
     """Grasps the handle bar from above, pulls the drawer open and lets go."""
     wide = -hand.rng.uniform(0.108, 0.120)  # it cannot go beyond 0.135 m
-    yield from grasp(hand, _near_bar(hand, np.zeros(3)), spread=(0.02, 0.002, 0.003))
+    # Off the bar towards the hand: the open fingers hardly fit between bar and front panel.
+    yield from grasp(hand, _near_bar(hand, np.array([0.0, -0.008, 0.0])), spread=(0.02, 0.003, 0.003))
     yield from sweep(hand, -_closing(hand), until=lambda: hand.state.joint("cabinet_slide") < wide)
     yield from release(hand, rise=0.08)
 
@@ -30,7 +31,8 @@ def close_drawer(hand: Demonstrator) -> Iterator[Action]:
         until=lambda: hand.state.joint("cabinet_slide") > -0.003,
         hover=(0.04, 0.08),
     )
-    yield from draw_back(hand, -0.05 * along + (-0.02, 0.0, 0.02), -0.07 * along + (0.0, 0.0, 0.05))
+    back = -0.06 * along + up(0.035)
+    yield from draw_back(hand, back - 0.01, back + 0.01)
 
 
 def _near_bar(hand: Demonstrator, offset: Vec) -> Target:

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from .motions import Action, Demonstrator, Target, Vec
-from .vocabulary import Stage, carry, draw_back, grasp, lift, push, release
+from .tool_use import grasp_cube, put_cube_in_pot
+from .vocabulary import Stage, carry, draw_back, grasp, lift, push, release, up
 
 _PAD = np.array([0.0, 0.0, 0.08])  # in the switch's frame
 # In the pot's frame: the handle away from the cabinet, whose own handle would stop the hand, 6 mm below the bar's
@@ -32,24 +33,14 @@ def turn_off(hand: Demonstrator) -> Iterator[Action]:
 
 def cube_in_pot(hand: Demonstrator) -> Iterator[Action]:
     """Picks the cube up and drops it into the pot from just above the handles."""
-    state = hand.state
-    aim = hand.jitter(0.006) * (1.0, 1.5, 0.0)
-    yield from grasp(hand, lambda: state.position("cube_main") - (0.0, 0.0, 0.002))
-    yield from lift(hand, 0.13)
-
-    def over_pot() -> Vec:
-        pot = state.position("pot_main")
-        return np.array([pot[0], pot[1], 1.03]) + aim
-
-    yield from carry(hand, "cube_main", lambda: over_pot() + (0.0, 0.0, 0.04), tolerance=0.015)
-    yield from carry(hand, "cube_main", over_pot)
-    yield from release(hand, 0.05)
+    yield from grasp_cube(hand)
+    yield from put_cube_in_pot(hand)
 
 
 def pot_on_stove(hand: Demonstrator) -> Iterator[Action]:
     """Takes the pot by a handle and puts it on the stove."""
     state = hand.state
-    yield from move_pot(hand, lambda: state.position("stove_main") + (0.0, 0.0, _POT_ON_STOVE))
+    yield from move_pot(hand, lambda: state.position("stove_main") + up(_POT_ON_STOVE))
 
 
 def pot_off_stove(hand: Demonstrator) -> Iterator[Action]:
@@ -94,7 +85,7 @@ def move_pot(hand: Demonstrator, goal: Target, aim: Sequence[float] = (0.008, 0.
     yield from grasp(hand, lambda: state.point_on("pot_main", _POT_HANDLE), spread=(0.006, 0.001, 0.0015))
     yield from lift(hand, 0.06)
     height = hand.rng.uniform(0.05, 0.07)
-    yield from carry(hand, "pot_main", lambda: goal() + off + (0.0, 0.0, height), tolerance=0.015)
+    yield from carry(hand, "pot_main", lambda: goal() + off + up(height), tolerance=0.015)
     yield from carry(hand, "pot_main", lambda: goal() + off, tolerance=0.008)
     yield from release(hand, 0.09)
 

@@ -11,14 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_buds.core import BudsError
-from lerobot_buds.envs import SimulationView
+from lerobot_buds.envs import REACH, SimulationView
 
 Vec = NDArray[np.float64]
 Action = NDArray[np.float32]
 Target = Callable[[], Vec]
-
-STEP_REACH = 0.05
-"""Displacement that an action of 1 aims at (m)."""
 
 _GAIN = 2.0
 _PATIENCE = 250
@@ -120,7 +117,7 @@ class Demonstrator:
 
     def _command(self, aim: Vec, speed: float) -> Action:
         # Held against the direction of motion, so that the path stays straight at the speed cap.
-        wish = _GAIN * aim / STEP_REACH
+        wish = _GAIN * aim / REACH
         wish *= min(1.0, speed / (float(np.linalg.norm(wish)) + 1e-9))
         # The stationary deviation of this process is `tremor`.
         fresh = np.sqrt(1.0 - _TREMOR_MEMORY**2) * self.manner.tremor

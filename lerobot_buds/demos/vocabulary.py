@@ -17,6 +17,11 @@ _MISJUDGED = 0.25
 _FAR_AHEAD = 0.10
 
 
+def up(height: float) -> Vec:
+    """Makes the upward displacement of a height (m), shape (3,)."""
+    return np.array([0.0, 0.0, height])
+
+
 def approach(hand: Demonstrator, target: Target, hover: tuple[float, float] = (0.07, 0.11)) -> Iterator[Action]:
     """Comes over a point; now and then misjudges where it is, sees that, and corrects.
 
@@ -25,11 +30,11 @@ def approach(hand: Demonstrator, target: Target, hover: tuple[float, float] = (0
         target: The point to hover over (m).
         hover: Range of the height above it (m).
     """
-    height = np.array([0.0, 0.0, hand.rng.uniform(*hover)])
+    height = up(hand.rng.uniform(*hover))
     if hand.rng.random() < _MISJUDGED:
         astray = hand.jitter(0.03)
         yield from hand.move(lambda: target() + height + astray, tolerance=0.025)
-    yield from hand.move(lambda: target() + height, tolerance=0.02)
+    yield from hand.move(lambda: target() + height, tolerance=0.015)
 
 
 def grasp(
@@ -56,7 +61,7 @@ def grasp(
 
 def lift(hand: Demonstrator, height: float) -> Iterator[Action]:
     """Raises the hand, and what it holds, by at least this height (m)."""
-    top = hand.state.hand + np.array([0.0, 0.0, height * hand.rng.uniform(1.0, 1.2)])
+    top = hand.state.hand + up(height * hand.rng.uniform(1.0, 1.2))
     yield from hand.move(lambda: top, tolerance=0.015)
 
 

@@ -1,5 +1,6 @@
 """The tasks by name, as plain data: importable without a simulator."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -18,6 +19,7 @@ class Task:
         goal: Names of the facts that must all hold at once.
         stages: The demonstrator's stages, in their usual order.
         max_steps: Default episode length (control steps), from the original's README.
+        workspace: Ranges of x, y and z that the hand is not sent beyond (m).
         needs: Which stages must come before a stage; where it names none for a stage, all those listed before it.
     """
 
@@ -28,6 +30,7 @@ class Task:
     goal: tuple[str, ...]
     stages: tuple[str, ...]
     max_steps: int = 2500
+    workspace: tuple[tuple[float, float], ...] = ((-math.inf, math.inf),) * 3
     needs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -69,9 +72,41 @@ def _multitask(number: int, variant: int, start: set[str], *stages: str) -> Task
     )
 
 
+# Without it the hand could simply take the cube, and the tool would be needless (ours; the original has no bound).
+_NEAR_SIDE = ((-math.inf, 0.03), (-math.inf, math.inf), (-math.inf, math.inf))
+
 TASKS: dict[str, Task] = {
     task.name: task
     for task in (
+        Task(
+            "tool_use/full",
+            "fetch the cube with the tool and put it into the pot",
+            "tool_use",
+            frozenset(),
+            ("cube_in_pot",),
+            ("grasp_tool", "hook_cube", "pull_cube", "put_tool_aside", "grasp_cube", "put_cube_in_pot"),
+            1500,
+            _NEAR_SIDE,
+        ),
+        Task(
+            "tool_use/cube_fetched",
+            "put the cube into the pot",
+            "tool_use",
+            frozenset({"cube_fetched"}),
+            ("cube_in_pot",),
+            ("grasp_cube", "put_cube_in_pot"),
+            1500,
+            _NEAR_SIDE,
+        ),
+        Task(
+            "hammer_place/full",
+            "put the hammer into the drawer and close it",
+            "hammer_place",
+            frozenset(),
+            ("hammer_in_drawer", "drawer_closed"),
+            ("open_drawer", "grasp_hammer", "put_hammer_in_drawer", "close_drawer"),
+            1500,
+        ),
         Task(
             name="kitchen/full",
             description="turn on the stove, cook the cube in the pot, serve the pot and turn off the stove",

@@ -8,6 +8,7 @@ import numpy as np
 from .furniture import pot
 from .primitives import FREE_JOINT, Body, Geom, Primitive
 from .state import SimulationState
+from .tools import l_tool
 
 _POT_HEIGHT = 0.9035
 _TRAY_HEIGHT = 0.9005
@@ -31,7 +32,7 @@ class RealKitchen:
 
     def objects(self) -> list[Primitive]:
         """Builds the pot, its lid, the tray and the tool."""
-        return [pot(), lid(), tray(), tool()]
+        return [pot(), lid(), tray(), l_tool()]
 
     def place(self, state: SimulationState, rng: np.random.Generator) -> None:
         """Draws and writes the start positions: the lid on the pot, everything at rest."""
