@@ -28,6 +28,7 @@ from tqdm import tqdm
 from lerobot_buds.core import (
     ACTION,
     COLLECTION_FILE,
+    CONTACT_SHEET_FILE,
     IMAGE_PREFIX,
     STATE,
     TRUE_STAGE,
@@ -41,6 +42,7 @@ from lerobot_buds.core import (
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, tasks_named
 
 from .attempts import Attempt, attempt_in_worker
+from .pictures import draw_contact_sheet
 
 if TYPE_CHECKING:
     from lerobot.datasets import LeRobotDataset
@@ -208,6 +210,7 @@ def _write_dataset(staging: Path, recording: Recording, attempts: list[Attempt])
                 frames += _write_episode(dataset, dict(arrays), recording)
         dataset.finalize()
         write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
+        draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, tasks_named(recording.settings.task)[0].stages)
     return frames
 
 
