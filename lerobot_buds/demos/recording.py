@@ -189,7 +189,7 @@ def _write_dataset(staging: Path, recording: Recording, attempts: list[Attempt])
     from datasets import disable_progress_bars
     from lerobot.datasets import LeRobotDataset
 
-    av.logging.set_level(av.logging.ERROR)
+    av.logging.set_libav_level(av.logging.ERROR)  # LeRobot resets the level that set_level sets
     disable_progress_bars()
     chosen = [a.seed for a in attempts if a.success]
     frames = 0
