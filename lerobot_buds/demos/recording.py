@@ -16,8 +16,9 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import version
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -138,7 +139,7 @@ def _attempts(staging: Path, recording: Recording) -> Iterator[Attempt]:
     """Yields attempts in the order of their seeds, without their arrays, until enough of them succeeded."""
     bar = tqdm(total=recording.episodes, desc="demonstrations", unit="episode", dynamic_ncols=True)
     done = failed = 0
-    pool = ProcessPoolExecutor(recording.workers, mp_context=get_context("spawn"))
+    pool = ProcessPoolExecutor(recording.workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
         pending: list[Future[Attempt]] = []
         next_seed = recording.seed
@@ -158,6 +159,18 @@ def _attempts(staging: Path, recording: Recording) -> Iterator[Attempt]:
     finally:
         bar.close()
         pool.shutdown(cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """Makes a worker end when its parent is killed; it would wait for work for ever."""
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def _staged_attempt(staging: Path, settings: EnvSettings, seed: int) -> Attempt:
