@@ -1,8 +1,8 @@
 """Records scripted demonstrations into a LeRobotDataset: in parallel, resumable, the same for any number of workers.
 
-Attempts run in worker processes and are staged one file each beside the dataset. The episodes are the first successful
-attempts in the order of their seeds. When there are enough, one writer makes the dataset in a staging folder and
-renames it into place. A kill loses the attempts in flight, or the writing, and nothing else.
+Attempts run in worker processes and are staged one file each in a folder beside the dataset. The episodes are the first
+successful attempts in the order of their seeds. When there are enough, one writer makes the dataset in the same folder
+and renames it into place. A kill loses the attempts in flight, or the writing, and nothing else.
 """
 
 import logging
@@ -35,7 +35,6 @@ from lerobot_buds.core import (
     BudsError,
     DatasetError,
     read_json,
-    staged_directory,
     write_atomically,
     write_json,
 )
@@ -111,7 +110,7 @@ def record(recording: Recording) -> Summary:
         raise BudsError(f"Seeds from {EVALUATION_SEEDS} on are for evaluation; choose a smaller --seed.")
     staging = recording.root.with_name(f".{recording.root.name}.attempts")
     staging.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(staging.with_suffix(".lock"))
+    lock = FileLock(staging / "lock")
     try:
         with lock.acquire(blocking=False):
             _claim(staging, recording)
@@ -204,23 +203,25 @@ def _write_dataset(staging: Path, recording: Recording, attempts: list[Attempt])
     disable_progress_bars()
     chosen = [a.seed for a in attempts if a.success]
     frames = 0
-    with staged_directory(recording.root) as folder:
-        dataset = LeRobotDataset.create(
-            repo_id=recording.repo_id,
-            root=folder,
-            fps=FPS,
-            robot_type="panda",
-            features=_features(recording),
-            use_videos=recording.video,
-            streaming_encoding=recording.video,
-            encoder_queue_maxsize=10_000,  # a full queue would silently drop frames: longer than any episode
-            image_writer_threads=0 if recording.video else 4,
-        )
-        for seed in tqdm(chosen, desc="writing the dataset", unit="episode", dynamic_ncols=True):
-            with np.load(_arrays_file(staging, seed), allow_pickle=False) as arrays:
-                frames += _write_episode(dataset, dict(arrays), recording)
-        dataset.finalize()
-        write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
+    folder = staging / "dataset"
+    shutil.rmtree(folder, ignore_errors=True)  # what a killed call left
+    dataset = LeRobotDataset.create(
+        repo_id=recording.repo_id,
+        root=folder,
+        fps=FPS,
+        robot_type="panda",
+        features=_features(recording),
+        use_videos=recording.video,
+        streaming_encoding=recording.video,
+        encoder_queue_maxsize=10_000,  # a full queue would silently drop frames: longer than any episode
+        image_writer_threads=0 if recording.video else 4,
+    )
+    for seed in tqdm(chosen, desc="writing the dataset", unit="episode", dynamic_ncols=True):
+        with np.load(_arrays_file(staging, seed), allow_pickle=False) as arrays:
+            frames += _write_episode(dataset, dict(arrays), recording)
+    dataset.finalize()
+    write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
+    folder.replace(recording.root)
     return frames
 
 
