@@ -33,6 +33,7 @@ from lerobot_buds.core import (
     STATE,
     TRUE_STAGE,
     BudsError,
+    ConfigError,
     DatasetError,
     read_json,
     write_atomically,
@@ -52,6 +53,8 @@ EVALUATION_SEEDS = 100_000
 """Seeds from here on are for evaluation, never for demonstrations."""
 
 _HOPELESS_AFTER = 20
+_SMALLEST_VIDEO = 32
+"""Pixels a side; LeRobot's video encoder, SVT-AV1, crashes the process on images of under 28."""
 
 
 @dataclass(frozen=True)
@@ -100,14 +103,14 @@ def record(recording: Recording) -> Summary:
     """Records demonstrations, or goes on where an earlier call of the same settings was interrupted.
 
     Raises:
+        ConfigError: A number is out of its range.
         DatasetError: The dataset exists, or another process is recording it.
         BudsError: The demonstrator fails most of its attempts, or a worker process died.
     """
     began = time.monotonic()
     if recording.root.exists():
         raise DatasetError(f"{recording.root} exists already. Remove it or choose another --root.")
-    if recording.seed + 2 * recording.episodes >= EVALUATION_SEEDS:
-        raise BudsError(f"Seeds from {EVALUATION_SEEDS} on are for evaluation; choose a smaller --seed.")
+    _check_numbers(recording)
     staging = recording.root.with_name(f".{recording.root.name}.attempts")
     staging.mkdir(parents=True, exist_ok=True)
     lock = FileLock(staging / "lock")
@@ -121,6 +124,20 @@ def record(recording: Recording) -> Summary:
         raise DatasetError(f"Another process is recording {recording.root}; wait for it to end.") from None
     failures = Counter(a.failure for a in attempts if not a.success)
     return Summary(recording.episodes, len(attempts), dict(failures), frames, time.monotonic() - began)
+
+
+def _check_numbers(recording: Recording) -> None:
+    for name, value, least in (
+        ("episodes", recording.episodes, 1),
+        ("workers", recording.workers, 1),
+        ("seed", recording.seed, 0),
+        ("image_size", recording.settings.image_size, _SMALLEST_VIDEO if recording.video else 1),
+    ):
+        if value < least:
+            raise ConfigError(f"{name}={value} cannot work; it must be at least {least}.")
+    # The most seeds that are tried before the demonstrator is given up.
+    if recording.seed + 2 * recording.episodes + _HOPELESS_AFTER >= EVALUATION_SEEDS:
+        raise ConfigError(f"Seeds from {EVALUATION_SEEDS} on are for evaluation; choose a smaller seed.")
 
 
 def _claim(staging: Path, recording: Recording) -> None:
