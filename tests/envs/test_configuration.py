@@ -64,8 +64,8 @@ def test_another_frame_rate_is_refused():
 
 def test_tasks_are_named_singly_listed_or_by_suite():
     assert [t.name for t in tasks_named(TASK)] == [TASK]
-    assert [t.name for t in tasks_named(f"{TASK} , multitask_kitchen,{TASK}")][0] == TASK
-    assert len({t.name for t in tasks_named(f"{TASK},{TASK}")}) == len(tasks_named(f"{TASK},{TASK}")) == 1
+    assert [t.name for t in tasks_named(f"{TASK} ,{TASK}")] == [TASK]
+    assert tasks_named(f"{TASK}, multitask_kitchen")[0].name == TASK
     assert tasks_named("multitask_kitchen") == [t for t in TASKS.values() if t.suite == "multitask_kitchen"]
     with pytest.raises(ConfigError, match=r"no robosuite task 'multitask_kitchn'\. Did you mean 'multitask_kitchen'"):
         tasks_named(f"{TASK},multitask_kitchn")
@@ -82,7 +82,7 @@ def test_every_task_is_whole():
 
 def test_profiles_by_name():
     assert [profile_named(name) for name in PROFILES] == list(PROFILES.values())
-    with pytest.raises(ConfigError, match="no render profile 'ful'. Did you mean 'full'"):
+    with pytest.raises(ConfigError, match=r"no render profile 'ful'\. Did you mean 'full'"):
         profile_named("ful")
 
 

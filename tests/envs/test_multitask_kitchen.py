@@ -100,10 +100,8 @@ def test_a_cube_is_in_the_pot_only_if_it_touches_and_is_between_the_walls(env, f
 def test_success_needs_every_fact_of_the_goal(env, facts):
     goal = TASKS[env.task].goal
     pot = np.array([0.15, 0.0, 0.9035])
-    served = {
-        "joints": [("cabinet_slide", 0.0), ("button_hinge", -0.2)],
-        "poses": [("pot", pot), ("cube", pot + (0, 0, 0.027))],
-    }
+    cube = pot + np.array([0, 0, 0.027])
+    served = {"joints": [("cabinet_slide", 0.0), ("button_hinge", -0.2)], "poses": [("pot", pot), ("cube", cube)]}
     spoiled = {
         "drawer_closed": [("cabinet_slide", -0.05)],
         "stove_off": [("button_hinge", 0.2)],
