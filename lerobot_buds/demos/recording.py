@@ -1,8 +1,8 @@
 """Records scripted demonstrations into a LeRobotDataset: in parallel, resumable, the same for any number of workers.
 
-Attempts run in worker processes and are staged one file each beside the dataset. The episodes are the first successful
-attempts in the order of their seeds. When there are enough, one writer makes the dataset in a staging folder and
-renames it into place. A kill loses the attempts in flight, or the writing, and nothing else.
+Attempts run in worker processes and are staged one file each in a folder beside the dataset. The episodes are the first
+successful attempts in the order of their seeds. When there are enough, one writer makes the dataset in the same folder
+and renames it into place. A kill loses the attempts in flight, or the writing, and nothing else.
 """
 
 import logging
@@ -16,8 +16,9 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import version
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,9 +34,9 @@ from lerobot_buds.core import (
     STATE,
     TRUE_STAGE,
     BudsError,
+    ConfigError,
     DatasetError,
     read_json,
-    staged_directory,
     write_atomically,
     write_json,
 )
@@ -54,6 +55,8 @@ EVALUATION_SEEDS = 100_000
 """Seeds from here on are for evaluation, never for demonstrations."""
 
 _HOPELESS_AFTER = 20
+_SMALLEST_VIDEO = 32
+"""Pixels a side; LeRobot's video encoder, SVT-AV1, crashes the process on images of under 28."""
 
 
 @dataclass(frozen=True)
@@ -102,17 +105,17 @@ def record(recording: Recording) -> Summary:
     """Records demonstrations, or goes on where an earlier call of the same settings was interrupted.
 
     Raises:
+        ConfigError: A number is out of its range.
         DatasetError: The dataset exists, or another process is recording it.
         BudsError: The demonstrator fails most of its attempts, or a worker process died.
     """
     began = time.monotonic()
     if recording.root.exists():
         raise DatasetError(f"{recording.root} exists already. Remove it or choose another --root.")
-    if recording.seed + 2 * recording.episodes >= EVALUATION_SEEDS:
-        raise BudsError(f"Seeds from {EVALUATION_SEEDS} on are for evaluation; choose a smaller --seed.")
+    _check_numbers(recording)
     staging = recording.root.with_name(f".{recording.root.name}.attempts")
     staging.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(staging.with_suffix(".lock"))
+    lock = FileLock(staging / "lock")
     try:
         with lock.acquire(blocking=False):
             _claim(staging, recording)
@@ -123,6 +126,20 @@ def record(recording: Recording) -> Summary:
         raise DatasetError(f"Another process is recording {recording.root}; wait for it to end.") from None
     failures = Counter(a.failure for a in attempts if not a.success)
     return Summary(recording.episodes, len(attempts), dict(failures), frames, time.monotonic() - began)
+
+
+def _check_numbers(recording: Recording) -> None:
+    for name, value, least in (
+        ("episodes", recording.episodes, 1),
+        ("workers", recording.workers, 1),
+        ("seed", recording.seed, 0),
+        ("image_size", recording.settings.image_size, _SMALLEST_VIDEO if recording.video else 1),
+    ):
+        if value < least:
+            raise ConfigError(f"{name}={value} cannot work; it must be at least {least}.")
+    # The most seeds that are tried before the demonstrator is given up.
+    if recording.seed + 2 * recording.episodes + _HOPELESS_AFTER >= EVALUATION_SEEDS:
+        raise ConfigError(f"Seeds from {EVALUATION_SEEDS} on are for evaluation; choose a smaller seed.")
 
 
 def _claim(staging: Path, recording: Recording) -> None:
@@ -140,7 +157,7 @@ def _attempts(staging: Path, recording: Recording) -> Iterator[Attempt]:
     """Yields attempts in the order of their seeds, without their arrays, until enough of them succeeded."""
     bar = tqdm(total=recording.episodes, desc="demonstrations", unit="episode", dynamic_ncols=True)
     done = failed = 0
-    pool = ProcessPoolExecutor(recording.workers, mp_context=get_context("spawn"))
+    pool = ProcessPoolExecutor(recording.workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
         pending: list[Future[Attempt]] = []
         next_seed = recording.seed
@@ -160,6 +177,18 @@ def _attempts(staging: Path, recording: Recording) -> Iterator[Attempt]:
     finally:
         bar.close()
         pool.shutdown(cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """Makes a worker end when its parent is killed; it would wait for work for ever."""
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def _staged_attempt(staging: Path, settings: EnvSettings, seed: int) -> Attempt:
@@ -193,24 +222,26 @@ def _write_dataset(staging: Path, recording: Recording, attempts: list[Attempt])
     disable_progress_bars()
     chosen = [a.seed for a in attempts if a.success]
     frames = 0
-    with staged_directory(recording.root) as folder:
-        dataset = LeRobotDataset.create(
-            repo_id=recording.repo_id,
-            root=folder,
-            fps=FPS,
-            robot_type="panda",
-            features=_features(recording),
-            use_videos=recording.video,
-            streaming_encoding=recording.video,
-            encoder_queue_maxsize=10_000,  # a full queue would silently drop frames: longer than any episode
-            image_writer_threads=0 if recording.video else 4,
-        )
-        for seed in tqdm(chosen, desc="writing the dataset", unit="episode", dynamic_ncols=True):
-            with np.load(_arrays_file(staging, seed), allow_pickle=False) as arrays:
-                frames += _write_episode(dataset, dict(arrays), recording)
-        dataset.finalize()
-        write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
-        draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, tasks_named(recording.settings.task)[0].stages)
+    folder = staging / "dataset"
+    shutil.rmtree(folder, ignore_errors=True)  # what a killed call left
+    dataset = LeRobotDataset.create(
+        repo_id=recording.repo_id,
+        root=folder,
+        fps=FPS,
+        robot_type="panda",
+        features=_features(recording),
+        use_videos=recording.video,
+        streaming_encoding=recording.video,
+        encoder_queue_maxsize=10_000,  # a full queue would silently drop frames: longer than any episode
+        image_writer_threads=0 if recording.video else 4,
+    )
+    for seed in tqdm(chosen, desc="writing the dataset", unit="episode", dynamic_ncols=True):
+        with np.load(_arrays_file(staging, seed), allow_pickle=False) as arrays:
+            frames += _write_episode(dataset, dict(arrays), recording)
+    dataset.finalize()
+    write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
+    draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, tasks_named(recording.settings.task)[0].stages)
+    folder.replace(recording.root)
     return frames
 
 

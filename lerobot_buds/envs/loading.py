@@ -76,8 +76,9 @@ def open_simulation(task: Task) -> "TabletopEnv":
         AttributeError,
         ImportError,
         OSError,
-        ctypes.ArgumentError,
-    ) as error:  # as PyOpenGL reports a missing library
+        ctypes.ArgumentError,  # these four as PyOpenGL reports a missing library
+        RuntimeError,  # MuJoCo on a backend that it does not know
+    ) as error:
         raise cannot_draw(error) from error
     finally:
         logging.disable(quiet_before)
