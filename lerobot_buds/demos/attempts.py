@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lerobot_buds.envs import TASKS, EnvSettings, RobosuiteEnv
 
-from .kitchen import STAGES
 from .motions import Action, Demonstrator, MotionFailedError
+from .stages import STAGES
 
 STEPS_AFTER_SUCCESS = 10
 """Recording goes on for this long, as in the original's collection (control steps)."""
@@ -49,7 +49,8 @@ def attempt(env: RobosuiteEnv, seed: int) -> Attempt:
     success = False
     stage = 0
     try:
-        for stage, action in _script(env, seed):
+        for stage, wish in _script(env, seed):
+            action = env.executed(wish)
             for name, value in _row(observation, action, stage).items():
                 rows.setdefault(name, []).append(value)
             observation, _, success, _, _ = env.step(action)
@@ -68,7 +69,7 @@ def _script(env: RobosuiteEnv, seed: int) -> Iterator[tuple[int, Action]]:
     for number, name in enumerate(names):
         for action in STAGES[name](hand):
             yield number, action
-    for action in hand.hold(STEPS_AFTER_SUCCESS, closed=True):
+    for action in hand.hold(STEPS_AFTER_SUCCESS):
         yield len(names) - 1, action
 
 

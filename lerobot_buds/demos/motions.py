@@ -11,14 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_buds.core import BudsError
-from lerobot_buds.envs import SimulationView
+from lerobot_buds.envs import REACH, SimulationView
 
 Vec = NDArray[np.float64]
 Action = NDArray[np.float32]
 Target = Callable[[], Vec]
-
-STEP_REACH = 0.05
-"""Displacement that an action of 1 aims at (m)."""
 
 _GAIN = 2.0
 _PATIENCE = 250
@@ -62,11 +59,15 @@ class Demonstrator:
     Args:
         state: The true state of the simulation.
         rng: Source of all variety.
+
+    Attributes:
+        closed: What the gripper is told at every step, closed or open, until this is changed.
     """
 
     def __init__(self, state: SimulationView, rng: np.random.Generator) -> None:
         self.state, self.rng = state, rng
         self.manner = draw_manner(rng)
+        self.closed = False
         self._tremor: Vec = np.zeros(3)
 
     def jitter(self, spread: float) -> Vec:
@@ -76,24 +77,20 @@ class Demonstrator:
     def move(
         self,
         target: Target,
-        closed: bool,
         tolerance: float = 0.012,
         until: Callable[[], bool] | None = None,
-        haste: float = 1.0,
     ) -> Iterator[Action]:
         """Moves the hand to a target that is looked at anew at every step.
 
         Args:
             target: Gives the position to reach (m), shape (3,).
-            closed: Keeps the gripper closed, else open.
             tolerance: Distance at which the target counts as reached (m).
             until: Ends the motion instead of the tolerance, where given.
-            haste: Factor on this motion's speed.
 
         Raises:
             MotionFailedError: The end was not reached within 12 seconds.
         """
-        speed = haste * self.manner.speed * self.rng.uniform(0.8, 1.2)
+        speed = self.manner.speed * self.rng.uniform(0.8, 1.2)
         start = target() - self.state.hand
         bow = self.manner.curve * self.rng.uniform(-1, 1) * np.cross(start, [0.0, 0.0, 1.0])
         distance = float(np.linalg.norm(start)) + 1e-9
@@ -105,24 +102,24 @@ class Demonstrator:
                 return
             if left < pause_at:
                 pause_at = -1.0
-                yield from self.hold(int(self.rng.integers(3, 8)), closed)
+                yield from self.hold(int(self.rng.integers(3, 8)))
             # The bow is widest half way and gone at both ends.
             progress = min(left / distance, 1.0)
             aim = error + 4.0 * bow * progress * (1.0 - progress)
-            yield self._command(aim, speed, closed)
+            yield self._command(aim, speed)
         raise MotionFailedError("the hand did not arrive within 12 seconds")
 
-    def hold(self, steps: int, closed: bool) -> Iterator[Action]:
+    def hold(self, steps: int) -> Iterator[Action]:
         """Stays where it is for some control steps, while the gripper closes or opens."""
         place = self.state.hand
         for _ in range(steps):
-            yield self._command(place - self.state.hand, self.manner.speed, closed)
+            yield self._command(place - self.state.hand, self.manner.speed)
 
-    def _command(self, aim: Vec, speed: float, closed: bool) -> Action:
+    def _command(self, aim: Vec, speed: float) -> Action:
         # Held against the direction of motion, so that the path stays straight at the speed cap.
-        wish = _GAIN * aim / STEP_REACH
+        wish = _GAIN * aim / REACH
         wish *= min(1.0, speed / (float(np.linalg.norm(wish)) + 1e-9))
         # The stationary deviation of this process is `tremor`.
         fresh = np.sqrt(1.0 - _TREMOR_MEMORY**2) * self.manner.tremor
         self._tremor = _TREMOR_MEMORY * self._tremor + self.rng.normal(0.0, fresh, 3)
-        return np.append(np.clip(wish + self._tremor, -1.0, 1.0), 1.0 if closed else -1.0).astype(np.float32)
+        return np.append(np.clip(wish + self._tremor, -1.0, 1.0), 1.0 if self.closed else -1.0).astype(np.float32)

@@ -1,7 +1,7 @@
 """The robosuite tasks as LeRobot environments. Importing this loads neither LeRobot nor the simulator."""
 
 from .rendering import PROFILES, RenderProfile, profile_named
-from .robosuite_env import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, Observation, RobosuiteEnv
+from .robosuite_env import ACTION_NAMES, CAMERAS, FPS, REACH, STATE_NAMES, EnvSettings, Observation, RobosuiteEnv
 from .tasks import TASKS, Task, tasks_named
 from .vector_env import EpisodeVectorEnv
 from .view import SimulationView
@@ -11,6 +11,7 @@ __all__ = [
     "CAMERAS",
     "FPS",
     "PROFILES",
+    "REACH",
     "STATE_NAMES",
     "TASKS",
     "EnvSettings",

@@ -37,6 +37,9 @@ STATE_NAMES = [
 """Dimensions of ``agent_pos``: seven arm joints (rad), two fingers (m), hand position in the world (m)."""
 
 ACTION_NAMES = ["delta_x", "delta_y", "delta_z", "gripper"]
+REACH = 0.05
+"""Displacement of the hand that an action of 1 aims at (m)."""
+
 SETTLE_STEPS = 5
 """Steps with the gripper opening that every episode starts with; they belong to the reset (original's protocol)."""
 
@@ -139,14 +142,14 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Advances one control step (50 ms).
 
         Args:
-            action: (4,) float; clipped to [-1, 1].
+            action: (4,) float; what is executed of it, `executed` tells.
 
         Raises:
             SimulatorError: The action or the simulation is not finite.
         """
         if not np.isfinite(action).all():
             raise SimulatorError(f"Step {self._steps} of {self.task}: the action is not finite: {action}.")
-        self.simulation.step(np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
+        self.simulation.step(self.executed(action).astype(np.float64))
         self._steps += 1
         if self.state.diverged():
             raise SimulatorError(f"Step {self._steps} of {self.task}: the simulation diverged to NaN or infinity.")
@@ -154,6 +157,20 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         success = self.simulation.succeeded()
         truncated = self._steps >= self._max_episode_steps and not success
         return self._observe(), float(success), success, truncated, {"is_success": success}
+
+    def executed(self, action: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Tells what of an action would be executed now: clipped to [-1, 1], and to the task's workspace.
+
+        Args:
+            action: (4,) float.
+
+        Returns:
+            (4,) float32; executing it again changes nothing more.
+        """
+        reach = (np.array(self._task.workspace).T - self.state.hand) / REACH
+        low, high = (np.append(np.clip(side, -1.0, 1.0), end) for side, end in zip(reach, (-1.0, 1.0), strict=True))
+        clipped: NDArray[np.float32] = np.clip(action, low, high).astype(np.float32)
+        return clipped
 
     def render(self) -> NDArray[np.uint8]:
         """Draws the workspace camera: ``(H, W, 3)`` uint8."""

@@ -1,5 +1,6 @@
 """The tasks by name, as plain data: importable without a simulator."""
 
+import math
 from dataclasses import dataclass
 
 from lerobot_buds.core import ConfigError, near_names
@@ -17,6 +18,7 @@ class Task:
         goal: Names of the facts that must all hold at once.
         stages: The demonstrator's stages, in order.
         max_steps: Default episode length (control steps), from the original's README.
+        workspace: Ranges of x, y and z that the hand is not sent beyond (m).
     """
 
     name: str
@@ -26,6 +28,7 @@ class Task:
     goal: tuple[str, ...]
     stages: tuple[str, ...]
     max_steps: int = 2500
+    workspace: tuple[tuple[float, float], ...] = ((-math.inf, math.inf),) * 3
 
     @property
     def suite(self) -> str:
@@ -35,9 +38,41 @@ class Task:
 
 _SERVED = ("drawer_closed", "stove_off", "cube_in_pot", "pot_in_region")
 
+# Without it the hand could simply take the cube, and the tool would be needless (ours; the original has no bound).
+_NEAR_SIDE = ((-math.inf, 0.03), (-math.inf, math.inf), (-math.inf, math.inf))
+
 TASKS: dict[str, Task] = {
     task.name: task
     for task in (
+        Task(
+            "tool_use/full",
+            "fetch the cube with the tool and put it into the pot",
+            "tool_use",
+            frozenset(),
+            ("cube_in_pot",),
+            ("grasp_tool", "hook_cube", "pull_cube", "put_tool_aside", "grasp_cube", "put_cube_in_pot"),
+            1500,
+            _NEAR_SIDE,
+        ),
+        Task(
+            "tool_use/cube_fetched",
+            "put the cube into the pot",
+            "tool_use",
+            frozenset({"cube_fetched"}),
+            ("cube_in_pot",),
+            ("grasp_cube", "put_cube_in_pot"),
+            1500,
+            _NEAR_SIDE,
+        ),
+        Task(
+            "hammer_place/full",
+            "put the hammer into the drawer and close it",
+            "hammer_place",
+            frozenset(),
+            ("hammer_in_drawer", "drawer_closed"),
+            ("open_drawer", "grasp_hammer", "put_hammer_in_drawer", "close_drawer"),
+            1500,
+        ),
         Task(
             "multitask_kitchen/task3_variant1",
             "close the drawer and push the pot into the serving region",

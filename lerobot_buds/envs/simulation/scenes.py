@@ -4,10 +4,16 @@ from collections.abc import Callable
 
 from lerobot_buds.envs.tasks import Task
 
+from .hammer_place import HammerPlace
 from .multitask_kitchen import MultitaskKitchen
 from .tabletop import Scene
+from .tool_use import ToolUse
 
-SCENES: dict[str, Callable[[frozenset[str], tuple[str, ...]], Scene]] = {"multitask_kitchen": MultitaskKitchen}
+SCENES: dict[str, Callable[[frozenset[str], tuple[str, ...]], Scene]] = {
+    "hammer_place": HammerPlace,
+    "multitask_kitchen": MultitaskKitchen,
+    "tool_use": ToolUse,
+}
 """Scene name -> constructor, which takes the task's start and goal."""
 
 

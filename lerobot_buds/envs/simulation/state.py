@@ -62,15 +62,17 @@ class SimulationState:
         """Writes a hinge (rad) or slide (m) joint."""
         self._sim.data.set_joint_qpos(name, value)
 
-    def set_pose(self, name: str, pos: Vec, yaw: float) -> None:
+    def set_pose(self, name: str, pos: Vec, yaw: float, roll: float = 0.0) -> None:
         """Puts a free object somewhere.
 
         Args:
             name: The object's name, for example ``pot``.
             pos: Position of its origin (m), shape (3,).
             yaw: Rotation about the vertical (rad).
+            roll: Rotation about its own x axis before that (rad).
         """
-        quat = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+        turn, tilt = (np.cos(yaw / 2), np.sin(yaw / 2)), (np.cos(roll / 2), np.sin(roll / 2))
+        quat = np.array([turn[0] * tilt[0], turn[0] * tilt[1], turn[1] * tilt[1], turn[1] * tilt[0]])
         self._sim.data.set_joint_qpos(f"{name}_free", np.concatenate([pos, quat]))
 
     def touching(self, first: str, second: str) -> bool:
