@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lerobot_buds.envs import TASKS, EnvSettings, RobosuiteEnv
 
 from .motions import Action, Demonstrator, MotionFailedError
+from .orders import draw_order
 from .stages import STAGES
 
 STEPS_AFTER_SUCCESS = 10
@@ -65,12 +66,13 @@ def attempt(env: RobosuiteEnv, seed: int) -> Attempt:
 
 def _script(env: RobosuiteEnv, seed: int) -> Iterator[tuple[int, Action]]:
     hand = Demonstrator(env.state, np.random.default_rng([seed, 1]))
-    names = TASKS[env.task].stages
-    for number, name in enumerate(names):
-        for action in STAGES[name](hand):
+    task = TASKS[env.task]
+    order = draw_order(task, hand.rng)
+    for number in order:
+        for action in STAGES[task.stages[number]](hand):
             yield number, action
     for action in hand.hold(STEPS_AFTER_SUCCESS):
-        yield len(names) - 1, action
+        yield order[-1], action
 
 
 def _row(observation: dict[str, Any], action: Action, stage: int) -> dict[str, Any]:

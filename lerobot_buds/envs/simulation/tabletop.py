@@ -7,6 +7,7 @@ robosuite's observables, which cost time at every physics step, are not built.
 """
 
 from collections import OrderedDict
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -49,6 +50,11 @@ class Scene(Protocol):
         """Names of the facts that must all hold for success."""
         ...
 
+    @property
+    def latches(self) -> Mapping[str, str]:
+        """Facts that hold from the moment another fact has held: name -> the fact that sets it."""
+        ...
+
     def objects(self) -> list[Primitive]:
         """Builds every object and fixture, once per environment."""
         ...
@@ -58,11 +64,11 @@ class Scene(Protocol):
         ...
 
     def update(self, state: SimulationState) -> None:
-        """Refreshes looks and latches after every control step."""
+        """Refreshes looks after every control step."""
         ...
 
     def facts(self, state: SimulationState) -> dict[str, bool]:
-        """Evaluates every predicate of the scene."""
+        """Evaluates every predicate of the scene, less its latches."""
         ...
 
 
@@ -76,6 +82,7 @@ class TabletopEnv(ManipulationEnv):  # type: ignore[misc]  # robosuite ships no 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self._rng = np.random.default_rng(0)
+        self._latched: set[str] = set()
         super().__init__(
             robots="Panda",
             base_types="default",
@@ -97,8 +104,8 @@ class TabletopEnv(ManipulationEnv):  # type: ignore[misc]  # robosuite ships no 
         self.reset()
 
     def facts(self) -> dict[str, bool]:
-        """Evaluates the scene's predicates in the present state."""
-        return self.scene.facts(self.state)
+        """Evaluates the scene's predicates in the present state, and what its latches remember of this episode."""
+        return self.scene.facts(self.state) | {name: name in self._latched for name in self.scene.latches}
 
     def succeeded(self) -> bool:
         """Tells whether every fact of the goal holds now."""
@@ -108,6 +115,12 @@ class TabletopEnv(ManipulationEnv):  # type: ignore[misc]  # robosuite ships no 
     def reward(self, action: NDArray[np.float64] | None = None) -> float:
         """Computes the sparse reward: 1 on success, else 0."""
         return float(self.succeeded())
+
+    def _post_action(self, action: NDArray[np.float64]) -> Any:
+        if self.scene.latches:
+            facts = self.scene.facts(self.state)
+            self._latched |= {name for name, fact in self.scene.latches.items() if facts[fact]}
+        return super()._post_action(action)
 
     def _check_success(self) -> bool:
         return self.succeeded()
@@ -141,6 +154,7 @@ class TabletopEnv(ManipulationEnv):  # type: ignore[misc]  # robosuite ships no 
         # Controllers are rebuilt at every reset, so the hold is applied anew each time.
         arm = robot.composite_controller.part_controllers["right"]
         arm.compute_goal_ori = lambda *_args, **_kwargs: HAND_DOWN
+        self._latched.clear()
         state = SimulationState(self.sim)
         self.scene.place(state, self._rng)
         self.scene.update(state)

@@ -1,0 +1,27 @@
+"""The order in which a demonstrator does a task's stages, drawn anew for every episode where the task leaves a choice."""
+
+import numpy as np
+
+from lerobot_buds.envs import Task
+
+
+def draw_order(task: Task, rng: np.random.Generator) -> list[int]:
+    """Draws a valid order of a task's stages.
+
+    Args:
+        task: The task.
+        rng: Source of the choices; untouched where there is none.
+
+    Returns:
+        Indices into ``task.stages``, each once: at every point any stage whose needs are met is equally likely.
+    """
+    order: list[int] = []
+    while len(order) < len(task.stages):
+        done = {task.stages[number] for number in order}
+        ready = [
+            number
+            for number, stage in enumerate(task.stages)
+            if number not in order and done.issuperset(task.needs.get(stage, task.stages[:number]))
+        ]
+        order.append(ready[0] if len(ready) == 1 else int(rng.choice(ready)))
+    return order
