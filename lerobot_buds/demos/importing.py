@@ -6,7 +6,6 @@ kill loses the demonstration in flight, or the merge, and nothing else.
 """
 
 import logging
-import os
 import shutil
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -14,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from lerobot_buds.core import (
@@ -35,6 +33,7 @@ from .hdf5 import Demonstrations, open_demonstrations
 from .hdf5_layouts import Source
 from .recording import RECORD_VERSION
 from .tables import DatasetFiles
+from .writing import camera_feature, create_dataset, vector_feature, write_episode
 
 logger = logging.getLogger(__name__)
 
@@ -126,45 +125,14 @@ def _claim(staging: Path, record: dict[str, Any]) -> None:
 
 
 def _stage(staging: Path, plan: Import, demonstrations: Demonstrations) -> None:
-    os.environ.setdefault("SVT_LOG", "1")  # errors only; the encoder describes itself at length otherwise
-    import av.logging
-    from datasets import disable_progress_bars
-
-    av.logging.set_level(av.logging.ERROR)
-    disable_progress_bars()
-    features = _features(plan, demonstrations)
+    features = {key: camera_feature(shape, plan.video) for key, shape in demonstrations.image_shapes.items()}
+    features |= {STATE: vector_feature(demonstrations.state_names), ACTION: vector_feature(demonstrations.action_names)}
     for name in tqdm(demonstrations.lengths, desc="demonstrations", unit="episode", dynamic_ncols=True):
         if not (staging / name).exists():
             with staged_directory(staging / name) as folder:
-                _write_episode(folder, plan, features, demonstrations.read(name))
-
-
-def _features(plan: Import, demonstrations: Demonstrations) -> dict[str, dict[str, Any]]:
-    dtype, axes = "video" if plan.video else "image", ["height", "width", "channels"]
-    vectors = {STATE: demonstrations.state_names, ACTION: demonstrations.action_names}
-    return {
-        **{key: {"dtype": dtype, "shape": shape, "names": axes} for key, shape in demonstrations.image_shapes.items()},
-        **{key: {"dtype": "float32", "shape": (len(names),), "names": names} for key, names in vectors.items()},
-    }
-
-
-def _write_episode(folder: Path, plan: Import, features: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-    from lerobot.datasets import LeRobotDataset
-
-    length = len(arrays[ACTION])
-    dataset = LeRobotDataset.create(
-        repo_id=plan.repo_id,
-        root=folder,
-        fps=plan.fps,
-        features=features,
-        use_videos=plan.video,
-        streaming_encoding=plan.video,
-        encoder_queue_maxsize=length,  # a full queue would silently drop frames
-    )
-    for t in range(length):
-        dataset.add_frame({key: array[t] for key, array in arrays.items()} | {"task": plan.task})
-    dataset.save_episode()
-    dataset.finalize()
+                dataset = create_dataset(plan.repo_id, folder, plan.fps, features)
+                write_episode(dataset, demonstrations.read(name), plan.task)
+                dataset.finalize()
 
 
 def _merge(

@@ -19,7 +19,7 @@ from importlib.metadata import version
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -44,9 +44,7 @@ from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettin
 
 from .attempts import Attempt, attempt_in_worker
 from .pictures import draw_contact_sheet
-
-if TYPE_CHECKING:
-    from lerobot.datasets import LeRobotDataset
+from .writing import camera_feature, create_dataset, vector_feature, write_episode
 
 logger = logging.getLogger(__name__)
 
@@ -213,60 +211,31 @@ def _save_arrays(arrays: dict[str, NDArray[Any]], path: Path) -> None:
 
 
 def _write_dataset(staging: Path, recording: Recording, attempts: list[Attempt]) -> int:
-    os.environ.setdefault("SVT_LOG", "1")  # errors only; the encoder describes itself at length otherwise
-    import av.logging
-    from datasets import disable_progress_bars
-    from lerobot.datasets import LeRobotDataset
-
-    av.logging.set_libav_level(av.logging.ERROR)  # LeRobot resets the level that set_level sets
-    disable_progress_bars()
-    chosen = [a.seed for a in attempts if a.success]
-    frames = 0
+    task = tasks_named(recording.settings.task)[0]
     folder = staging / "dataset"
     shutil.rmtree(folder, ignore_errors=True)  # what a killed call left
-    dataset = LeRobotDataset.create(
-        repo_id=recording.repo_id,
-        root=folder,
-        fps=FPS,
-        robot_type="panda",
-        features=_features(recording),
-        use_videos=recording.video,
-        streaming_encoding=recording.video,
-        encoder_queue_maxsize=10_000,  # a full queue would silently drop frames: longer than any episode
-        image_writer_threads=0 if recording.video else 4,
-    )
-    for seed in tqdm(chosen, desc="writing the dataset", unit="episode", dynamic_ncols=True):
+    dataset = create_dataset(recording.repo_id, folder, FPS, _features(recording), robot_type="panda")
+    frames = 0
+    for seed in tqdm(
+        [a.seed for a in attempts if a.success], "writing the dataset", unit="episode", dynamic_ncols=True
+    ):
         with np.load(_arrays_file(staging, seed), allow_pickle=False) as arrays:
-            frames += _write_episode(dataset, dict(arrays), recording)
+            columns = {IMAGE_PREFIX + camera: arrays[camera] for camera in CAMERAS}
+            columns |= {STATE: arrays["agent_pos"], ACTION: arrays["action"], TRUE_STAGE: arrays["true_stage"]}
+        frames += write_episode(dataset, columns, task.description)
     dataset.finalize()
     write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
-    draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, tasks_named(recording.settings.task)[0].stages)
+    draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, task.stages)
     folder.replace(recording.root)
     return frames
 
 
-def _write_episode(dataset: "LeRobotDataset", arrays: dict[str, NDArray[Any]], recording: Recording) -> int:
-    description = tasks_named(recording.settings.task)[0].description
-    columns = {IMAGE_PREFIX + camera: arrays[camera] for camera in CAMERAS}
-    columns |= {STATE: arrays["agent_pos"], ACTION: arrays["action"], TRUE_STAGE: arrays["true_stage"]}
-    length = len(arrays["action"])
-    for t in range(length):
-        dataset.add_frame({name: column[t] for name, column in columns.items()} | {"task": description})
-    dataset.save_episode()
-    return length
-
-
 def _features(recording: Recording) -> dict[str, dict[str, Any]]:
     size = recording.settings.image_size
-    image = {
-        "dtype": "video" if recording.video else "image",
-        "shape": (size, size, 3),
-        "names": ["height", "width", "channels"],
-    }
     return {
-        **{IMAGE_PREFIX + camera: image for camera in CAMERAS},
-        STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": STATE_NAMES},
-        ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": ACTION_NAMES},
+        **{IMAGE_PREFIX + camera: camera_feature((size, size, 3), recording.video) for camera in CAMERAS},
+        STATE: vector_feature(STATE_NAMES),
+        ACTION: vector_feature(ACTION_NAMES),
         TRUE_STAGE: {"dtype": "int64", "shape": (1,), "names": None},
     }
 

@@ -190,19 +190,21 @@ def test_a_task_of_the_release_keeps_its_own_images(buds: Path) -> None:
 
 @pytest.mark.parametrize("video", [False, True])
 def test_an_interrupted_import_goes_on(robomimic: Path, monkeypatch: pytest.MonkeyPatch, video: bool) -> None:
-    write, written = importing._write_episode, []
+    write, written = importing.write_episode, []
 
-    def dying(folder: Path, *rest: object) -> None:
+    def counting(*rest: object) -> int:
+        written.append(rest)
+        return write(*rest)
+
+    def dying(*rest: object) -> int:
         if len(written) == 2:
-            folder.mkdir()  # half an episode
-            raise KeyboardInterrupt
-        write(folder, *rest)
-        written.append(folder)
+            raise KeyboardInterrupt  # the third dataset is open, and has no episode yet
+        return counting(*rest)
 
-    monkeypatch.setattr(importing, "_write_episode", dying)
+    monkeypatch.setattr(importing, "write_episode", dying)
     with pytest.raises(KeyboardInterrupt):
         imported(robomimic, video)
-    monkeypatch.setattr(importing, "_write_episode", lambda *rest: (write(*rest), written.append(rest[0])))
+    monkeypatch.setattr(importing, "write_episode", counting)
     staging = robomimic.parent / "out/.dataset.import"
     (staging / "merged").mkdir()  # what a kill while merging leaves
     with pytest.raises(DatasetError, match="other settings"):
