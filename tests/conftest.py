@@ -1,4 +1,4 @@
-"""Keeps every test off the Hub and out of the user's folders, and records the demonstrations that several tests read."""
+"""Keeps every test off the Hub and out of the user's folders, and records demonstrations for several of them."""
 
 import os
 from pathlib import Path
