@@ -3,14 +3,11 @@
 import os
 from dataclasses import dataclass
 
-import draccus
-from draccus.utils import ParsingError
-
 from lerobot_buds.core import ConfigError
 from lerobot_buds.demos.recording import Recording, Summary, record
 from lerobot_buds.envs import EnvSettings, profile_named, tasks_named
 
-from .running import dataset_root, run
+from .running import dataset_root, parse, run
 
 
 @dataclass
@@ -72,10 +69,7 @@ def collect(config: CollectConfig) -> Summary:
 
 def main() -> None:
     """Entry point of the console script."""
-    try:
-        config = draccus.parse(CollectConfig)
-    except ParsingError as error:
-        raise SystemExit(f"error: {error}") from error
+    config = parse(CollectConfig)
     summary = run(lambda: collect(config))
     print(
         f"{summary.episodes} demonstrations, {summary.frames} frames, from {summary.attempts} attempts "
