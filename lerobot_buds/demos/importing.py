@@ -177,7 +177,9 @@ def _merge(
     merged = staging / "merged"
     shutil.rmtree(merged, ignore_errors=True)
     names = record["episode_names"]
-    aggregate_datasets([plan.repo_id] * len(names), plan.repo_id, [staging / name for name in names], merged)
+    parts = [staging / name for name in names]
+    # Appended image rows would be encoded anew, all that are there for each episode: as many files as episodes instead.
+    aggregate_datasets([plan.repo_id] * len(parts), plan.repo_id, parts, merged, concatenate_data=plan.video)
     written = [int(episode["length"]) for episode in DatasetFiles(merged).episodes]
     if written != lengths:
         raise DatasetError(f"{merged}: the episodes have {written} frames, the source {lengths}. This is a bug.")
