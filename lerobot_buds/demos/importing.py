@@ -5,7 +5,6 @@ all are there, LeRobot merges them without encoding anew, the result is read bac
 kill loses the demonstration in flight, or the merge, and nothing else.
 """
 
-import logging
 import os
 import shutil
 from dataclasses import asdict, dataclass
@@ -35,8 +34,6 @@ from .hdf5 import Demonstrations, open_demonstrations
 from .hdf5_layouts import Source
 from .recording import RECORD_VERSION
 from .tables import DatasetFiles
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
