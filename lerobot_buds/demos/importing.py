@@ -5,7 +5,6 @@ all are there, LeRobot merges them without encoding anew, the result is read bac
 kill loses the demonstration in flight, or the merge, and nothing else.
 """
 
-import logging
 import shutil
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -34,8 +33,6 @@ from .hdf5_layouts import Source
 from .recording import RECORD_VERSION
 from .tables import DatasetFiles
 from .writing import camera_feature, create_dataset, vector_feature, write_episode
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -145,7 +142,9 @@ def _merge(
     merged = staging / "merged"
     shutil.rmtree(merged, ignore_errors=True)
     names = record["episode_names"]
-    aggregate_datasets([plan.repo_id] * len(names), plan.repo_id, [staging / name for name in names], merged)
+    parts = [staging / name for name in names]
+    # Appended image rows would be encoded anew, all that are there for each episode: as many files as episodes instead.
+    aggregate_datasets([plan.repo_id] * len(parts), plan.repo_id, parts, merged, concatenate_data=plan.video)
     written = [int(episode["length"]) for episode in DatasetFiles(merged).episodes]
     if written != lengths:
         raise DatasetError(f"{merged}: the episodes have {written} frames, the source {lengths}. This is a bug.")

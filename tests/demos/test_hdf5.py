@@ -6,6 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from filelock import FileLock
 from lerobot.datasets import LeRobotDataset
 
 from lerobot_buds.cli.import_hdf5 import main
@@ -215,6 +216,15 @@ def test_an_interrupted_import_goes_on(robomimic: Path, monkeypatch: pytest.Monk
     assert not staging.exists()
     with pytest.raises(DatasetError, match="exists already"):
         imported(robomimic, video)
+
+
+def test_a_second_import_of_the_same_dataset_is_refused(robomimic: Path) -> None:
+    (robomimic.parent / "out").mkdir()
+    with (
+        FileLock(robomimic.parent / "out/.dataset.lock"),
+        pytest.raises(DatasetError, match="Another process is writing"),
+    ):
+        imported(robomimic)
 
 
 def refusal(path: Path, **source: object) -> str:
