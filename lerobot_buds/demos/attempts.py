@@ -1,6 +1,5 @@
 """One attempt of the scripted demonstrator, and the same from a seed alone for worker processes."""
 
-import atexit
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -93,5 +92,4 @@ def attempt_in_worker(settings: EnvSettings, seed: int) -> Attempt:
     global _env_of_this_process
     if _env_of_this_process is None or _env_of_this_process.settings != settings:
         _env_of_this_process = RobosuiteEnv(settings)
-        atexit.register(_env_of_this_process.close)  # an OpenGL context that is left to the interpreter complains
     return attempt(_env_of_this_process, seed)
