@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lerobot_buds.demos.attempts import STEPS_AFTER_SUCCESS, attempt, attempt_in_worker
+from lerobot_buds.demos.attempts import STEPS_AFTER_SUCCESS, attempt
 from lerobot_buds.envs import EnvSettings, RobosuiteEnv
 
 SETTINGS = EnvSettings("multitask_kitchen/task3_variant1", None, 16, "fastest")
@@ -74,12 +74,3 @@ def test_replayed_actions_repeat_the_demonstration(env, done):
             observation, _, success, _, _ = env.step(action)
         assert success
         assert np.linalg.norm(env.state.position("pot_main") - place) < 1e-3
-
-
-def test_a_worker_gets_the_same_from_the_seed_alone(done):
-    again = attempt_in_worker(SETTINGS, SEEDS[1])
-    attempt_in_worker(EnvSettings(SETTINGS.task, None, 8, "fastest"), 0)  # also closes nothing that is still needed
-    first, _ = done[1]
-    assert again.success and again.arrays.keys() == first.arrays.keys()
-    for name, rows in again.arrays.items():
-        np.testing.assert_array_equal(rows, first.arrays[name])

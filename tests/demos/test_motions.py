@@ -119,7 +119,9 @@ def test_haste_is_speed():
     lengths = []
     for haste in (0.5, 1.0):
         world = FreeWorld()
-        lengths.append(len(drive(world, demonstrator(world).move(lambda: np.full(3, 0.4), True, 0.02, haste=haste))))
+        lengths.append(
+            len(drive(world, demonstrator(world).move(lambda: np.array([0.1, 0.1, 1.1]), True, 0.02, haste=haste)))
+        )
     assert lengths[0] > 1.5 * lengths[1]
 
 
