@@ -1,4 +1,4 @@
-"""The order in which a demonstrator does a task's stages, drawn for every episode where the task leaves a choice."""
+"""The order in which a demonstrator does the stages: drawn anew for every episode where the task leaves a choice."""
 
 import numpy as np
 

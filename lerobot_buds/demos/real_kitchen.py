@@ -9,7 +9,7 @@ from .motions import Action, Demonstrator, Vec
 from .vocabulary import Stage, carry, grasp, lift, release, sweep, up
 
 _KNOB = np.array([0.0, 0.0, 0.020])  # in the lid's frame (m)
-_LID_ASIDE = np.array([-0.22, 0.20, 0.915])
+_LID_LYING = 0.915  # height of the lid's origin (m)
 _POT_ON_TRAY = 0.014  # the pot's origin above the tray's (m)
 _LYING, _CARRIED = 0.923, 1.0  # heights of the tool's origin (m)
 _BESIDE_TRAY = 0.15  # from the tray's middle to the tool's bar (m)
@@ -19,7 +19,8 @@ _ASIDE = 0.155  # y of a tray that is far enough aside (m)
 def take_lid_off(hand: Demonstrator) -> Iterator[Action]:
     """Lifts the lid by its knob and lays it down beside the pot."""
     state = hand.state
-    place = _LID_ASIDE + hand.jitter(0.015) * (1.0, 1.0, 0.0)
+    place = state.position("pot_main") + hand.rng.uniform((-0.19, 0.0, 0.0), (-0.16, 0.06, 0.0))
+    place[2] = _LID_LYING
     yield from grasp(hand, lambda: state.point_on("lid_main", _KNOB))
     yield from lift(hand, 0.06)
     yield from carry(hand, "lid_main", lambda: place + up(0.10), tolerance=0.02)
@@ -35,7 +36,7 @@ def pot_on_tray(hand: Demonstrator) -> Iterator[Action]:
 
 def take_tool(hand: Demonstrator) -> Iterator[Action]:
     """Grasps the tool's bar behind its middle and lifts it."""
-    along_bar = np.array([hand.rng.uniform(-0.04, -0.03), 0.0, 0.0])
+    along_bar = np.array([hand.rng.uniform(-0.09, -0.08), 0.0, 0.0])
     yield from grasp(hand, lambda: hand.state.point_on("tool_main", along_bar))
     yield from lift(hand, 0.08)
 
@@ -43,11 +44,11 @@ def take_tool(hand: Demonstrator) -> Iterator[Action]:
 def push_tray(hand: Demonstrator) -> Iterator[Action]:
     """Puts the tool's bar beside the tray, the hook around it, and pushes the tray aside."""
     state = hand.state
-    offset = hand.rng.uniform((-0.004, -0.01), (0.004, 0.0))
+    offset = hand.rng.uniform((-0.003, -0.01), (0.003, 0.0))
 
     def beside_tray(height: float) -> Vec:
         tray = state.position("tray_main")
-        return np.array([tray[0] - 0.012 + offset[0], tray[1] - _BESIDE_TRAY + offset[1], height])
+        return np.array([tray[0] - 0.016 + offset[0], tray[1] - _BESIDE_TRAY + offset[1], height])
 
     yield from carry(hand, "tool_main", lambda: beside_tray(_CARRIED), tolerance=0.012)
     yield from carry(hand, "tool_main", lambda: beside_tray(_LYING), tolerance=0.007)
