@@ -13,7 +13,7 @@ setup: ## install everything into .venv (and system packages, as root on Debian)
 	scripts/setup.sh
 
 demo: $(READY) ## collect, segment, train and evaluate one task
-	scripts/demo.sh
+	$(BIN)/python scripts/demo.py
 
 test: $(READY) ## run all tests
 	$(BIN)/python -m pytest

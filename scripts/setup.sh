@@ -67,8 +67,8 @@ install_python_packages() {
     reinstall=(--reinstall) # an install that was cut off may have left a package that only looks whole
   fi
   : >$partial
-  UV_PROJECT_ENVIRONMENT=$venv $venv/bin/uv sync --frozen --no-python-downloads --python $venv/bin/python \
-    "${reinstall[@]}"
+  UV_PROJECT_ENVIRONMENT=$venv $venv/bin/uv sync --frozen --compile-bytecode --no-python-downloads \
+    --python $venv/bin/python "${reinstall[@]}"
   rm $partial
 }
 

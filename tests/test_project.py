@@ -1,11 +1,13 @@
 """What holds for the project as a whole: the lock file, the wheel, the cost of importing, the size of the code."""
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
 from email.parser import Parser
 from pathlib import Path
+from urllib.parse import urlsplit
 from zipfile import ZipFile
 
 import pytest
@@ -37,10 +39,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> ZipFile:
     return ZipFile(path)
 
 
-def test_the_lock_file_names_the_public_index_only(locked: list[dict]) -> None:
-    assert {package["source"].get("registry") for package in locked} == {"https://pypi.org/simple"}
-    urls = [file["url"] for package in locked for file in package["wheels"]]
-    assert all(url.startswith("https://files.pythonhosted.org/") for url in urls)
+def test_the_lock_file_holds_for_everybody(locked: list[dict]) -> None:
+    """One registry with a public address: no password, no port, no file of the machine that locked."""
+    (source,) = {tuple(package["source"].items()) for package in locked}
+    ((kind, registry),) = source
+    assert kind == "registry"
+    files = [file for package in locked for file in [*package.get("wheels", ()), package.get("sdist")] if file]
+    for url in {registry, *(file["url"] for file in files)}:
+        parts = urlsplit(url)
+        assert (parts.scheme, parts.username, parts.password, parts.port) == ("https", None, None, None), url
+        # Neither an address nor a name of a local network: those have no top-level domain in letters.
+        assert re.fullmatch(r"([a-z0-9-]+\.)+[a-z]{2,}", parts.hostname or ""), url
+        assert not str(parts.hostname).endswith((".local", ".internal", ".lan", ".localhost", ".localdomain")), url
+    assert len({urlsplit(file["url"]).hostname for file in files}) == 1
+    assert all(file["hash"].startswith("sha256:") for file in files)
 
 
 def test_nothing_locked_has_to_be_compiled(locked: list[dict]) -> None:

@@ -3,12 +3,11 @@
 import os
 from dataclasses import dataclass
 
-import draccus
-
+from lerobot_buds.core import ConfigError
 from lerobot_buds.demos.recording import Recording, Summary, record
 from lerobot_buds.envs import EnvSettings, profile_named, tasks_named
 
-from .running import dataset_root, run
+from .running import dataset_root, parse, run
 
 
 @dataclass
@@ -44,14 +43,22 @@ class CollectConfig:
 
 
 def collect(config: CollectConfig) -> Summary:
-    """Records the demonstrations that the settings ask for."""
-    (task,) = tasks_named(config.task)
+    """Records the demonstrations that the settings ask for.
+
+    Raises:
+        ConfigError: A setting cannot work.
+        DatasetError: The dataset exists, or another process is recording it.
+        BudsError: The demonstrator fails most of its attempts, or a worker process died.
+    """
+    tasks = tasks_named(config.task)
+    if len(tasks) != 1:
+        raise ConfigError(f"{config.task!r} names {len(tasks)} tasks; record one dataset each.")
     profile_named(config.render_profile)
     return record(
         Recording(
             repo_id=config.repo_id,
             root=dataset_root(config.repo_id, config.root),
-            settings=EnvSettings(task.name, None, config.image_size, config.render_profile),
+            settings=EnvSettings(tasks[0].name, None, config.image_size, config.render_profile),
             episodes=config.episodes,
             seed=config.seed,
             workers=config.workers or len(os.sched_getaffinity(0)),
@@ -62,7 +69,7 @@ def collect(config: CollectConfig) -> Summary:
 
 def main() -> None:
     """Entry point of the console script."""
-    config = draccus.parse(CollectConfig)
+    config = parse(CollectConfig)
     summary = run(lambda: collect(config))
     print(
         f"{summary.episodes} demonstrations, {summary.frames} frames, from {summary.attempts} attempts "

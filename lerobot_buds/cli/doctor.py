@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from ..core import SimulatorError
+from lerobot_buds.core import SimulatorError
+from lerobot_buds.envs.loading import ROBOSUITE_VERSION
 
 DISTRIBUTION = "lerobot_policy_buds"
 """The installed name, and the module that LeRobot imports because of it; a dashed name would not be discovered."""
 
-ROBOSUITE = "robosuite==1.5.1"
+ROBOSUITE = f"robosuite=={ROBOSUITE_VERSION}"
 """Not among the distribution's requirements, since it has to be installed without its own (see docs/install.md)."""
 
 LOW_DISK, NO_DISK = 10 * 2**30, 2**30

@@ -1,11 +1,24 @@
-"""What every command shares: where datasets live, and how an error is shown."""
+"""What every command shares: its settings, where datasets live, and how an error is shown."""
 
 import logging
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import draccus
+from draccus.utils import ParsingError
+
 from lerobot_buds.core import BudsError
+
+
+def parse[T](settings: type[T]) -> T:
+    """Reads a command's settings from its arguments; where they cannot work, ends the program with the reason."""
+    try:
+        config: T = draccus.parse(settings)
+    except ParsingError as error:
+        # draccus says only which class refused, not why.
+        raise SystemExit(f"error: {error.__cause__ if isinstance(error.__cause__, BudsError) else error}") from error
+    return config
 
 
 def run[T](command: Callable[[], T]) -> T:

@@ -4,9 +4,6 @@ import logging
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-import draccus
-from draccus.utils import ParsingError
-
 from lerobot_buds.core import TRUE_STAGE, ConfigError, IntArray, frames_of_seconds
 from lerobot_buds.demos import DatasetFiles, check_demonstrations, read_table
 from lerobot_buds.evaluation import Agreement, agreement
@@ -19,7 +16,7 @@ from lerobot_buds.representation import (
 )
 from lerobot_buds.segmentation import DiscoveryConfig, SegmentationRecord, draw_timeline, write_segmented_dataset
 
-from .running import dataset_root, run
+from .running import dataset_root, parse, run
 
 logger = logging.getLogger(__name__)
 
@@ -94,10 +91,7 @@ def segment(config: SegmentConfig) -> SegmentationRecord:
 
 def main() -> None:
     """Entry point of the console script."""
-    try:
-        config = draccus.parse(SegmentConfig)
-    except ParsingError as error:
-        raise SystemExit(f"error: {error}") from error
+    config = parse(SegmentConfig)
     record = run(lambda: segment(config))
     print(f"{record.n_skills} skills in {len(record.episodes)} demonstrations")
     for number, skill in enumerate(record.skills):

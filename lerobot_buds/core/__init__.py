@@ -20,6 +20,7 @@ from .files import (
 from .names import (
     ACTION,
     COLLECTION_FILE,
+    CONTACT_SHEET_FILE,
     EYE_IN_HAND_CAMERA,
     IMAGE_PREFIX,
     RECORD_DIR,
@@ -37,6 +38,7 @@ from .segments import FloatArray, IntArray, Segment, labels_of, segments_of, sub
 __all__ = [
     "ACTION",
     "COLLECTION_FILE",
+    "CONTACT_SHEET_FILE",
     "EYE_IN_HAND_CAMERA",
     "IMAGE_PREFIX",
     "RECORD_DIR",

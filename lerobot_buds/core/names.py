@@ -23,6 +23,7 @@ RECORD_DIR = "meta/buds"
 
 SEGMENTATION_FILE = f"{RECORD_DIR}/segmentation.json"
 COLLECTION_FILE = f"{RECORD_DIR}/collection.json"
+CONTACT_SHEET_FILE = f"{RECORD_DIR}/contact_sheet.png"
 
 
 def select_dims(names: Sequence[str], patterns: Sequence[str]) -> list[int]:

@@ -2,6 +2,7 @@
 
 from .checks import check_demonstrations, dimension_names, require_finite, require_whole
 from .frames import cached_frames, frame_size, frames_key
+from .pictures import draw_contact_sheet
 from .tables import DatasetFiles, FrameTable, read_table
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "cached_frames",
     "check_demonstrations",
     "dimension_names",
+    "draw_contact_sheet",
     "frame_size",
     "frames_key",
     "read_table",

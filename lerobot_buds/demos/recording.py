@@ -1,8 +1,8 @@
 """Records scripted demonstrations into a LeRobotDataset: in parallel, resumable, the same for any number of workers.
 
-Attempts run in worker processes and are staged one file each beside the dataset. The episodes are the first successful
-attempts in the order of their seeds. When there are enough, one writer makes the dataset in a staging folder and
-renames it into place. A kill loses the attempts in flight, or the writing, and nothing else.
+Attempts run in worker processes and are staged one file each in a folder beside the dataset. The episodes are the first
+successful attempts in the order of their seeds. When there are enough, one writer makes the dataset in the same folder
+and renames it into place. A kill loses the attempts in flight, or the writing, and nothing else.
 """
 
 import logging
@@ -16,9 +16,10 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import version
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from threading import Thread
+from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -28,22 +29,22 @@ from tqdm import tqdm
 from lerobot_buds.core import (
     ACTION,
     COLLECTION_FILE,
+    CONTACT_SHEET_FILE,
     IMAGE_PREFIX,
     STATE,
     TRUE_STAGE,
     BudsError,
+    ConfigError,
     DatasetError,
     read_json,
-    staged_directory,
     write_atomically,
     write_json,
 )
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, tasks_named
 
 from .attempts import Attempt, attempt_in_worker
-
-if TYPE_CHECKING:
-    from lerobot.datasets import LeRobotDataset
+from .pictures import draw_contact_sheet
+from .writing import camera_feature, create_dataset, vector_feature, write_episode
 
 logger = logging.getLogger(__name__)
 
@@ -52,6 +53,8 @@ EVALUATION_SEEDS = 100_000
 """Seeds from here on are for evaluation, never for demonstrations."""
 
 _HOPELESS_AFTER = 20
+_SMALLEST_VIDEO = 32
+"""Pixels a side; LeRobot's video encoder, SVT-AV1, crashes the process on images of under 28."""
 
 
 @dataclass(frozen=True)
@@ -100,17 +103,17 @@ def record(recording: Recording) -> Summary:
     """Records demonstrations, or goes on where an earlier call of the same settings was interrupted.
 
     Raises:
+        ConfigError: A number is out of its range.
         DatasetError: The dataset exists, or another process is recording it.
         BudsError: The demonstrator fails most of its attempts, or a worker process died.
     """
     began = time.monotonic()
     if recording.root.exists():
         raise DatasetError(f"{recording.root} exists already. Remove it or choose another --root.")
-    if recording.seed + 2 * recording.episodes >= EVALUATION_SEEDS:
-        raise BudsError(f"Seeds from {EVALUATION_SEEDS} on are for evaluation; choose a smaller --seed.")
+    _check_numbers(recording)
     staging = recording.root.with_name(f".{recording.root.name}.attempts")
     staging.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(staging.with_suffix(".lock"))
+    lock = FileLock(staging / "lock")
     try:
         with lock.acquire(blocking=False):
             _claim(staging, recording)
@@ -121,6 +124,20 @@ def record(recording: Recording) -> Summary:
         raise DatasetError(f"Another process is recording {recording.root}; wait for it to end.") from None
     failures = Counter(a.failure for a in attempts if not a.success)
     return Summary(recording.episodes, len(attempts), dict(failures), frames, time.monotonic() - began)
+
+
+def _check_numbers(recording: Recording) -> None:
+    for name, value, least in (
+        ("episodes", recording.episodes, 1),
+        ("workers", recording.workers, 1),
+        ("seed", recording.seed, 0),
+        ("image_size", recording.settings.image_size, _SMALLEST_VIDEO if recording.video else 1),
+    ):
+        if value < least:
+            raise ConfigError(f"{name}={value} cannot work; it must be at least {least}.")
+    # The most seeds that are tried before the demonstrator is given up.
+    if recording.seed + 2 * recording.episodes + _HOPELESS_AFTER >= EVALUATION_SEEDS:
+        raise ConfigError(f"Seeds from {EVALUATION_SEEDS} on are for evaluation; choose a smaller seed.")
 
 
 def _claim(staging: Path, recording: Recording) -> None:
@@ -138,7 +155,7 @@ def _attempts(staging: Path, recording: Recording) -> Iterator[Attempt]:
     """Yields attempts in the order of their seeds, without their arrays, until enough of them succeeded."""
     bar = tqdm(total=recording.episodes, desc="demonstrations", unit="episode", dynamic_ncols=True)
     done = failed = 0
-    pool = ProcessPoolExecutor(recording.workers, mp_context=get_context("spawn"))
+    pool = ProcessPoolExecutor(recording.workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
         pending: list[Future[Attempt]] = []
         next_seed = recording.seed
@@ -158,6 +175,18 @@ def _attempts(staging: Path, recording: Recording) -> Iterator[Attempt]:
     finally:
         bar.close()
         pool.shutdown(cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """Makes a worker end when its parent is killed; it would wait for work for ever."""
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def _staged_attempt(staging: Path, settings: EnvSettings, seed: int) -> Attempt:
@@ -182,57 +211,31 @@ def _save_arrays(arrays: dict[str, NDArray[Any]], path: Path) -> None:
 
 
 def _write_dataset(staging: Path, recording: Recording, attempts: list[Attempt]) -> int:
-    os.environ.setdefault("SVT_LOG", "1")  # errors only; the encoder describes itself at length otherwise
-    import av.logging
-    from datasets import disable_progress_bars
-    from lerobot.datasets import LeRobotDataset
-
-    av.logging.set_level(av.logging.ERROR)
-    disable_progress_bars()
-    chosen = [a.seed for a in attempts if a.success]
+    task = tasks_named(recording.settings.task)[0]
+    folder = staging / "dataset"
+    shutil.rmtree(folder, ignore_errors=True)  # what a killed call left
+    dataset = create_dataset(recording.repo_id, folder, FPS, _features(recording), robot_type="panda")
     frames = 0
-    with staged_directory(recording.root) as folder:
-        dataset = LeRobotDataset.create(
-            repo_id=recording.repo_id,
-            root=folder,
-            fps=FPS,
-            robot_type="panda",
-            features=_features(recording),
-            use_videos=recording.video,
-            streaming_encoding=recording.video,
-            encoder_queue_maxsize=10_000,  # a full queue would silently drop frames: longer than any episode
-            image_writer_threads=0 if recording.video else 4,
-        )
-        for seed in tqdm(chosen, desc="writing the dataset", unit="episode", dynamic_ncols=True):
-            with np.load(_arrays_file(staging, seed), allow_pickle=False) as arrays:
-                frames += _write_episode(dataset, dict(arrays), recording)
-        dataset.finalize()
-        write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
+    for seed in tqdm(
+        [a.seed for a in attempts if a.success], "writing the dataset", unit="episode", dynamic_ncols=True
+    ):
+        with np.load(_arrays_file(staging, seed), allow_pickle=False) as arrays:
+            columns = {IMAGE_PREFIX + camera: arrays[camera] for camera in CAMERAS}
+            columns |= {STATE: arrays["agent_pos"], ACTION: arrays["action"], TRUE_STAGE: arrays["true_stage"]}
+        frames += write_episode(dataset, columns, task.description)
+    dataset.finalize()
+    write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
+    draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, task.stages)
+    folder.replace(recording.root)
     return frames
-
-
-def _write_episode(dataset: "LeRobotDataset", arrays: dict[str, NDArray[Any]], recording: Recording) -> int:
-    description = tasks_named(recording.settings.task)[0].description
-    columns = {IMAGE_PREFIX + camera: arrays[camera] for camera in CAMERAS}
-    columns |= {STATE: arrays["agent_pos"], ACTION: arrays["action"], TRUE_STAGE: arrays["true_stage"]}
-    length = len(arrays["action"])
-    for t in range(length):
-        dataset.add_frame({name: column[t] for name, column in columns.items()} | {"task": description})
-    dataset.save_episode()
-    return length
 
 
 def _features(recording: Recording) -> dict[str, dict[str, Any]]:
     size = recording.settings.image_size
-    image = {
-        "dtype": "video" if recording.video else "image",
-        "shape": (size, size, 3),
-        "names": ["height", "width", "channels"],
-    }
     return {
-        **{IMAGE_PREFIX + camera: image for camera in CAMERAS},
-        STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": STATE_NAMES},
-        ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": ACTION_NAMES},
+        **{IMAGE_PREFIX + camera: camera_feature((size, size, 3), recording.video) for camera in CAMERAS},
+        STATE: vector_feature(STATE_NAMES),
+        ACTION: vector_feature(ACTION_NAMES),
         TRUE_STAGE: {"dtype": "int64", "shape": (1,), "names": None},
     }
 

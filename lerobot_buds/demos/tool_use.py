@@ -7,7 +7,7 @@ import numpy as np
 from .motions import Action, Demonstrator, Vec
 from .vocabulary import Stage, carry, grasp, lift, release, sweep, up
 
-_LYING, _CARRIED = 0.923, 0.985  # heights of the tool's origin (m)
+_LYING, _CARRIED = 0.923, 1.005  # heights of the tool's origin (m); it hangs down towards the hook
 _BEFORE_CUBE = np.array([-0.050, -0.05])  # tool's origin from the cube's, with the hook beyond the cube (m)
 _OVER_POT = 0.115  # the released cube's height over the pot; the opening fingers must clear its handles (m)
 
@@ -16,7 +16,7 @@ def grasp_tool(hand: Demonstrator) -> Iterator[Action]:
     """Grasps the tool's bar towards its near end, so that the hook reaches beyond the workspace, and lifts it."""
     along_bar = np.array([hand.rng.uniform(-0.09, -0.06), 0.0, 0.0])
     yield from grasp(hand, lambda: hand.state.point_on("tool_main", along_bar))
-    yield from lift(hand, 0.06)
+    yield from lift(hand, 0.08)
 
 
 def hook_cube(hand: Demonstrator) -> Iterator[Action]:

@@ -20,7 +20,7 @@ ROBOSUITE_VERSION = "1.5.1"
 MUJOCO_RANGE = ((3, 6), (3, 10))
 """MuJoCo versions, from the first up to but without the second, whose bindings robosuite 1.5.1 can use."""
 
-_INSTALL = "pip install 'lerobot_policy_buds[sim]' && pip install --no-deps robosuite==1.5.1"
+_INSTALL = f"pip install 'lerobot_policy_buds[sim]' && pip install --no-deps robosuite=={ROBOSUITE_VERSION}"
 
 
 def check_versions(robosuite: str | None, mujoco: str | None) -> None:
@@ -76,8 +76,9 @@ def open_simulation(task: Task) -> "TabletopEnv":
         AttributeError,
         ImportError,
         OSError,
-        ctypes.ArgumentError,
-    ) as error:  # as PyOpenGL reports a missing library
+        ctypes.ArgumentError,  # these four as PyOpenGL reports a missing library
+        RuntimeError,  # MuJoCo on a backend that it does not know
+    ) as error:
         raise cannot_draw(error) from error
     finally:
         logging.disable(quiet_before)

@@ -1,5 +1,6 @@
 """Scores: agreement of segmentations, statistics of rollouts."""
 
 from .agreement import Agreement, agreement, matched_boundaries
+from .rollouts import SuccessRate, read_success_rate, success_rate
 
-__all__ = ["Agreement", "agreement", "matched_boundaries"]
+__all__ = ["Agreement", "SuccessRate", "agreement", "matched_boundaries", "read_success_rate", "success_rate"]

@@ -69,6 +69,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     n_skills: int | None = None
     segmentation: str | None = None  # hash of the labels: under another segmentation skill ids mean something else
     fps: int | None = None
+    render_profile: str | None = None  # how a simulator drew the demonstrations; None where that is not recorded
     tasks: list[str] = field(default_factory=list)
     state_names: list[str] = field(default_factory=list)
     current_dims: list[int] | None = None

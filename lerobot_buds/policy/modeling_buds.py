@@ -16,7 +16,7 @@ from .labels import LabelTable
 from .meta_controller import MetaController
 from .proprioception import Proprioception
 from .rollout import Rollout
-from .settling import check_task, settle_on_dataset, settle_without_dataset
+from .settling import check_render_profile, check_task, settle_on_dataset, settle_without_dataset
 from .skills import SkillLibrary
 
 
@@ -182,6 +182,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             expected, given = tuple(feature.shape), tuple(batch[key].shape[1:])
             if expected != given:
                 raise CheckpointError(f"{key}: the policy was made for shape {expected}, the observation has {given}.")
+        check_render_profile(self.config, batch.get("observation.render_profile"))
         for task in set(batch.get("task") or [""]):
             check_task(self.config, task)
         scaled = [scale_images(batch[key], self.config.image_shape) for key in self.config.cameras]

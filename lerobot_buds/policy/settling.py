@@ -1,11 +1,23 @@
 """Settles a configuration on the dataset the policy is built for, and refuses what does not fit together."""
 
 import logging
+from pathlib import Path
 from typing import Any
 
 from lerobot.utils.feature_utils import dataset_to_policy_features
+from torch import Tensor
 
-from lerobot_buds.core import STATE, CheckpointError, ConfigError, near_names, select_dims, sha256_of_json
+from lerobot_buds.core import (
+    COLLECTION_FILE,
+    STATE,
+    CheckpointError,
+    ConfigError,
+    near_names,
+    read_json,
+    select_dims,
+    sha256_of_json,
+)
+from lerobot_buds.envs import PROFILES
 from lerobot_buds.segmentation import load_labels
 
 from .configuration_buds import PAPER_FPS, BudsConfig
@@ -35,6 +47,8 @@ def settle_on_dataset(config: BudsConfig, meta: Any) -> None:
     labels = sha256_of_json([episode.sha256 for episode in record.episodes])
     config.segmentation = _agree("segmentation", config.segmentation, labels, meta.root, _OTHER_LABELS)
     config.fps = _agree("fps", config.fps, int(meta.fps), meta.root)
+    if (profile := _recorded_profile(Path(meta.root))) is not None:
+        config.render_profile = _agree("render_profile", config.render_profile, profile, meta.root)
     names = state_names(meta.features)
     config.state_names = _agree("state_names", config.state_names or None, names, meta.root)
     tasks = [str(task) for task in meta.tasks.index]
@@ -105,6 +119,34 @@ def check_task(config: BudsConfig, task: str) -> None:
         return
     known = near_names(task, config.tasks)
     raise ConfigError(f"The policy does not know the task {task!r}. {known} To train on others too, set policy.tasks.")
+
+
+def check_render_profile(config: BudsConfig, given: Tensor | None) -> None:
+    """Refuses images that a simulator draws otherwise than the demonstrations.
+
+    Args:
+        config: Its `render_profile` is that of the demonstrations; None, where it is not known, accepts every image.
+        given: ``(B, 1)`` number of the environment's profile; None from a robot or another environment.
+
+    Raises:
+        CheckpointError: The profiles differ; both are named.
+    """
+    if config.render_profile is None or given is None:
+        return
+    drawn = list(PROFILES)[int(given.flatten()[0])]
+    if drawn != config.render_profile:
+        raise CheckpointError(
+            f"The policy was trained on images of the render profile {config.render_profile!r}, the environment draws "
+            f"{drawn!r}. Use --env.render_profile={config.render_profile}."
+        )
+
+
+def _recorded_profile(root: Path) -> str | None:
+    try:
+        profile: str | None = read_json(root / COLLECTION_FILE).get("render_profile")
+    except FileNotFoundError:
+        return None
+    return profile
 
 
 def _check_features(config: BudsConfig, meta: Any) -> None:

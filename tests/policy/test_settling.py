@@ -4,6 +4,7 @@ from pathlib import Path
 
 import draccus
 import pytest
+import torch
 from lerobot.configs import FeatureType, PolicyFeature, PreTrainedConfig
 
 from lerobot_buds.core import (
@@ -16,8 +17,9 @@ from lerobot_buds.core import (
     ConfigError,
     SegmentationError,
 )
+from lerobot_buds.envs import PROFILES
 from lerobot_buds.policy import BudsConfig
-from lerobot_buds.policy.settling import check_task, settle_state, state_names
+from lerobot_buds.policy.settling import check_render_profile, check_task, settle_state, state_names
 
 
 def config_of(**overrides):
@@ -181,3 +183,13 @@ def test_the_cpu_preset_is_small_and_takes_overrides():
     config = load("buds_cpu.yaml", "--policy.optimizer_lr=0.5")
     assert (config.encoder, config.norm, config.image_size, config.optimizer_lr) == ("conv", "group", 64, 0.5)
     assert not config.push_to_hub
+
+
+def test_images_drawn_otherwise_than_the_demonstrations_are_refused():
+    config = config_of(render_profile="fast")
+    profiles = list(PROFILES)
+    check_render_profile(config, torch.tensor([[float(profiles.index("fast"))]] * 2))
+    check_render_profile(config, None)
+    check_render_profile(config_of(), torch.tensor([[float(profiles.index("full"))]]))
+    with pytest.raises(CheckpointError, match=r"'fast'.*'full'"):
+        check_render_profile(config, torch.tensor([[float(profiles.index("full"))]]))

@@ -6,7 +6,7 @@ from ctypes import ArgumentError
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core import SimulatorError
+from lerobot_buds.core import SimulatorError
 
 # What MuJoCo's import ends in: no driver or no such backend, no libEGL, no libOpenGL, a library that does not load.
 _LOADING_ERRORS = (ImportError, RuntimeError, AttributeError, ArgumentError, OSError)

@@ -3,6 +3,7 @@
 robosuite's renderer does not: two of its environments in one process draw into each other's images.
 """
 
+import atexit
 from typing import Any
 
 import mujoco
@@ -19,7 +20,7 @@ _HAND_COLOUR = (0.25, 0.25, 0.28, 1.0)
 class CameraRenderer:
     """Draws the cameras of one simulation.
 
-    It belongs to the process and thread that makes it. Close it before the interpreter ends.
+    It belongs to the process and thread that makes it.
 
     Args:
         sim: robosuite's simulation; the looks of its compiled model are changed to fit the profile.
@@ -37,6 +38,8 @@ class CameraRenderer:
             self._renderer = mujoco.Renderer(self._model, height=size, width=size)
         except (AttributeError, ImportError, RuntimeError, mujoco.FatalError) as error:
             raise cannot_draw(error) from error
+        # Runs before MuJoCo's own handler, which ends EGL under every context that is still there.
+        atexit.register(self.close)
         self._options = mujoco.MjvOption()
         self._options.geomgroup[:] = 0
         self._options.geomgroup[_DRAWN] = 1
@@ -57,6 +60,7 @@ class CameraRenderer:
 
     def close(self) -> None:
         """Frees the OpenGL context; may be called twice."""
+        atexit.unregister(self.close)
         self._renderer.close()
 
 
