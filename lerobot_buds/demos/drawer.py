@@ -13,8 +13,8 @@ _HANDLE_BAR = np.array([0.0, -0.16, 0.04])  # in the drawer's frame (m)
 def open_drawer(hand: Demonstrator) -> Iterator[Action]:
     """Grasps the handle bar from above, pulls the drawer open and lets go."""
     wide = -hand.rng.uniform(0.108, 0.120)  # it cannot go beyond 0.135 m
-    # Off the bar towards the hand, because the open fingers hardly fit between bar and front panel; and below it, so that
-    # the pads, which reach higher than the fingertips, close on its middle and do not slip up.
+    # Off the bar towards the hand, because the open fingers hardly fit between bar and front panel; and below it, so
+    # that the pads, which reach higher than the fingertips, close on its middle and do not slip up.
     at_bar = _near_bar(hand, np.array([0.0, -0.008, -0.005]))
     yield from grasp(hand, at_bar, spread=(0.02, 0.003, 0.002))
     yield from sweep(hand, -_closing(hand), until=lambda: hand.state.joint("cabinet_slide") < wide, through=at_bar)

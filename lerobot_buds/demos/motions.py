@@ -46,10 +46,10 @@ class Manner:
 def draw_manner(rng: np.random.Generator) -> Manner:
     """Draws one episode's manner. Ranges are ours: within SpaceMouse limits, with the paper's demonstration lengths."""
     return Manner(
-        speed=rng.uniform(0.40, 0.62),
+        speed=rng.uniform(0.36, 0.625),
         tremor=rng.uniform(0.02, 0.08),
         curve=rng.uniform(0.0, 0.25),
-        hesitation=0.15,
+        hesitation=rng.uniform(0.05, 0.35),
     )
 
 
@@ -102,7 +102,7 @@ class Demonstrator:
                 return
             if left < pause_at:
                 pause_at = -1.0
-                yield from self.hold(int(self.rng.integers(3, 8)))
+                yield from self.hold(int(self.rng.integers(3, 13)))
             # The bow is widest half way and gone at both ends.
             progress = min(left / distance, 1.0)
             aim = error + 4.0 * bow * progress * (1.0 - progress)
