@@ -99,8 +99,9 @@ def stove(pos: Vector) -> Primitive:
         )
         for number, (radius, grey) in enumerate([(0.060, 0.15), (0.045, 0.45), (0.030, 0.15), (0.015, 0.45)])
     ]
+    # Wider than the zoo's 0.0625, which a pot on the stove would hide from both cameras.
     flame = Geom(
-        "cylinder", (0.0625, 0.0004), (0.0, 0.0, 0.0236), rgba=(1.0, 0.15, 0.05, 0.0), role="visual", name="flame"
+        "cylinder", (0.09, 0.0004), (0.0, 0.0, 0.0236), rgba=(1.0, 0.15, 0.05, 0.0), role="visual", name="flame"
     )
     plate = Geom("box", (0.095, 0.095, 0.0005), (0.0, 0.0, 0.022), role="collision")
     block = Geom("box", (0.095, 0.095, 0.02), material="metal")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .furniture import pot
-from .primitives import FREE_JOINT, Body, Geom, Primitive
+from .primitives import FREE_JOINT, Body, Geom, Primitive, Vector
 from .state import SimulationState
 from .tools import l_tool
 
@@ -62,8 +62,9 @@ class RealKitchen:
 def lid() -> Primitive:
     """Builds the lid: its step sits between the pot's walls, its knob fits between the fingers."""
 
-    def steel(size: tuple[float, float, float], height: float) -> Geom:
-        return Geom("box", size, (0.0, 0.0, height), material="steel", density=400.0)
+    def plate(size: Vector, height: float) -> Geom:
+        # Not of steel: lid and pot could hardly be told apart.
+        return Geom("box", size, (0.0, 0.0, height), material="blue_wood", density=400.0)
 
     knob = Geom(
         "box",
@@ -73,14 +74,14 @@ def lid() -> Primitive:
         density=400.0,
         friction=(1.5, 0.005, 0.0001),
     )
-    geoms = (steel((0.055, 0.048, 0.004), 0.0), steel((0.039, 0.042, 0.004), -0.008), knob)
+    geoms = (plate((0.055, 0.048, 0.004), 0.0), plate((0.039, 0.042, 0.004), -0.008), knob)
     return Primitive("lid", Body("main", geoms, joint=FREE_JOINT))
 
 
 def tray() -> Primitive:
     """Builds the tray; its rim makes pot and tray move together when one of them is pushed."""
 
-    def wood(size: tuple[float, float, float], pos: tuple[float, float, float]) -> Geom:
+    def wood(size: Vector, pos: Vector) -> Geom:
         return Geom("box", size, pos, material="green_wood", density=600.0, friction=(0.5, 0.005, 0.0001))
 
     rims = [wood((0.003, 0.086, 0.004), (x, 0.0, 0.014)) for x in (-0.073, 0.073)]
