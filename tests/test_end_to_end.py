@@ -21,6 +21,7 @@ from lerobot_buds.core import (
     sha256_of_file,
 )
 from lerobot_buds.demos import DatasetFiles
+from lerobot_buds.envs import TASKS
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
 SMALL_POLICY = [
@@ -123,7 +124,7 @@ def test_training_never_sees_the_true_stages(training):
     config = BudsPolicy.from_pretrained(checkpoint).config
     assert set(config.input_features) == {WORKSPACE_CAMERA, EYE_IN_HAND_CAMERA, STATE}
     assert TRUE_STAGE not in (checkpoint / "config.json").read_text()
-    assert config.tasks == ["close the drawer and push the pot into the serving region"]
+    assert config.tasks == [TASKS["multitask_kitchen/task3_variant1"].description]
     assert config.fps == 20 and 1 <= config.n_skills <= 3
 
 

@@ -14,7 +14,7 @@ from .orders import draw_order
 from .stages import STAGES
 
 STEPS_AFTER_SUCCESS = 10
-"""Recording goes on for this long, as in the original's collection (control steps)."""
+"""Recording ends once the goal has held for this long, as in the original's collection (control steps)."""
 
 _LONGEST = 2000
 
@@ -47,19 +47,21 @@ def attempt(env: RobosuiteEnv, seed: int) -> Attempt:
     observation, _ = env.reset(seed=seed)
     rows: dict[str, list[Any]] = {}
     stage_names = TASKS[env.task].stages
-    success = False
-    stage = 0
+    held = stage = 0
     try:
         for stage, wish in _script(env, seed):
             action = env.executed(wish)
             for name, value in _row(observation, action, stage).items():
                 rows.setdefault(name, []).append(value)
             observation, _, success, _, _ = env.step(action)
+            held = held + 1 if success else 0
+            if held == STEPS_AFTER_SUCCESS:
+                break
             if len(rows["action"]) > _LONGEST:
                 raise MotionFailedError(f"the episode is longer than {_LONGEST} steps")
     except MotionFailedError as error:
         return Attempt(seed, False, f"{stage_names[stage]}: {error}")
-    if not success:
+    if not held:
         return Attempt(seed, False, f"{stage_names[stage]}: the goal does not hold at the end")
     return Attempt(seed, True, arrays={name: np.stack(values) for name, values in rows.items()})
 

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_buds.demos.attempts import attempt
-from lerobot_buds.demos.kitchen import STAGES
-from lerobot_buds.demos.motions import Demonstrator, MotionFailedError, draw_manner
+from lerobot_buds.demos.motions import Demonstrator, Manner, MotionFailedError, draw_manner
+from lerobot_buds.demos.stages import STAGES
 
 TASK = "multitask_kitchen/task3_variant1"
 AT_ONCE = 0.0133  # metres that the real hand moves per step at an action of 1
@@ -56,6 +56,9 @@ class Stub:
     def reset(self, seed):
         return self._observation(), {}
 
+    def executed(self, action):
+        return action
+
     def step(self, action):
         self.state.obey(action)
         return self._observation(), 0.0, False, False, {}
@@ -64,8 +67,10 @@ class Stub:
         return {"pixels": {"agentview": np.zeros((2, 2, 3), np.uint8)}, "agent_pos": self.state.hand}
 
 
-def demonstrator(world, seed=0):
-    return Demonstrator(world, np.random.default_rng(seed))
+def demonstrator(world, seed=0, closed=False):
+    hand = Demonstrator(world, np.random.default_rng(seed))
+    hand.closed = closed
+    return hand
 
 
 def drive(world, motion):
@@ -81,7 +86,7 @@ def drive(world, motion):
 def test_a_motion_arrives_with_bounded_actions(seed):
     world = FreeWorld()
     target = np.array([0.1, -0.15, 0.95])
-    actions = drive(world, demonstrator(world, seed).move(lambda: target, closed=True, tolerance=0.02))
+    actions = drive(world, demonstrator(world, seed, closed=True).move(lambda: target, tolerance=0.02))
     assert np.linalg.norm(world.hand - target) < 0.02
     assert actions.dtype == np.float32 and np.abs(actions).max() <= 1
     assert (actions[:, 3] == 1).all()
@@ -96,13 +101,13 @@ def test_a_motion_follows_a_target_that_moves():
         target[1] += 0.002
         return target.copy()
 
-    drive(world, demonstrator(world).move(fleeing, closed=False))
+    drive(world, demonstrator(world).move(fleeing))
     assert target[1] > 0.02 and np.linalg.norm(world.hand - target) < 0.014
 
 
 def test_a_condition_replaces_the_tolerance():
     world = FreeWorld()
-    motion = demonstrator(world).move(lambda: np.array([1.0, 0.0, 1.0]), True, until=lambda: world.hand[0] > 0)
+    motion = demonstrator(world).move(lambda: np.array([1.0, 0.0, 1.0]), until=lambda: world.hand[0] > 0)
     drive(world, motion)
     assert 0 < world.hand[0] < 0.02
 
@@ -110,25 +115,25 @@ def test_a_condition_replaces_the_tolerance():
 def test_a_held_hand_stays_and_works_the_gripper():
     world = FreeWorld()
     before = world.hand
-    actions = drive(world, demonstrator(world).hold(20, closed=False))
+    actions = drive(world, demonstrator(world).hold(20))
     assert len(actions) == 20 and (actions[:, 3] == -1).all()
     assert np.linalg.norm(world.hand - before) < 0.02
 
 
-def test_haste_is_speed():
+def test_the_manner_sets_the_speed():
     lengths = []
-    for haste in (0.5, 1.0):
+    for speed in (0.3, 0.6):
         world = FreeWorld()
-        lengths.append(
-            len(drive(world, demonstrator(world).move(lambda: np.array([0.1, 0.1, 1.1]), True, 0.02, haste=haste)))
-        )
+        hand = demonstrator(world)
+        hand.manner = Manner(speed=speed, tremor=0.0, curve=0.0, hesitation=0.0)
+        lengths.append(len(drive(world, hand.move(lambda: np.array([0.1, 0.1, 1.1]), 0.02))))
     assert lengths[0] > 1.5 * lengths[1]
 
 
 def test_a_motion_that_cannot_arrive_fails():
     world = StillWorld()
     with pytest.raises(MotionFailedError, match="did not arrive within 12 seconds"):
-        drive(world, demonstrator(world).move(lambda: np.zeros(3), closed=True))
+        drive(world, demonstrator(world).move(lambda: np.zeros(3)))
     with pytest.raises(MotionFailedError):
         drive(world, STAGES["close_drawer"](demonstrator(world)))
 
@@ -155,7 +160,7 @@ def test_manners_are_human(seed):
 def test_a_seed_decides_a_motion():
     def actions(seed):
         world = FreeWorld()
-        return drive(world, demonstrator(world, seed).move(lambda: np.zeros(3), closed=True, tolerance=0.02))
+        return drive(world, demonstrator(world, seed).move(lambda: np.array([0.1, 0.0, 1.0]), tolerance=0.02))
 
     np.testing.assert_array_equal(actions(1), actions(1))
     assert not np.array_equal(actions(1)[:10], actions(2)[:10])

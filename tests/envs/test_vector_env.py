@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lerobot_buds.core import SimulatorError
-from lerobot_buds.envs import EpisodeVectorEnv
+from lerobot_buds.envs import TASKS, EpisodeVectorEnv
 
 SEEDS = [21, 22]
 LIMIT = 6
@@ -85,7 +85,7 @@ def test_attributes_and_pictures_have_one_entry_an_environment(envs, settings):
     envs.reset(seed=SEEDS)
     assert envs.call("_max_episode_steps") == (LIMIT, LIMIT)
     assert envs.get_attr("task") == (settings.task,) * 2
-    assert envs.call("task_description") == ("close the drawer and push the pot into the serving region",) * 2
+    assert envs.call("task_description") == (TASKS[settings.task].description,) * 2
     for pictures in (envs.render(), envs.call("render"), envs.get_attr("render")):
         assert [(p.shape, p.dtype) for p in pictures] == [((32, 64, 3), np.uint8)] * 2
     assert envs.metadata["render_fps"] == 20
