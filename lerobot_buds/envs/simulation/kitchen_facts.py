@@ -1,4 +1,4 @@
-"""The predicates that the kitchen scenes share, with the task zoo's thresholds."""
+"""The predicates that scenes with a pot or a stove share, with the task zoo's thresholds."""
 
 import numpy as np
 
@@ -15,7 +15,10 @@ def stove_on(state: SimulationState) -> bool:
 
 
 def cube_in_pot(state: SimulationState) -> bool:
-    """Tells whether the cube is in the pot; one that only touches its outside is not (stricter than the zoo)."""
+    """Tells whether the cube is in the pot; one that only touches its outside is not.
+
+    That is the zoo's predicate in Tool-Use; in its kitchens any contact counts.
+    """
     away = np.abs(state.position("pot_main") - state.position("cube_main"))
     return bool(state.touching("cube", "pot") and np.hypot(*away[:2]) < 0.06 and away[2] < 0.05)
 

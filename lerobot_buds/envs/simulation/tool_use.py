@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .furniture import cube, pot
+from .kitchen_facts import cube_in_pot
 from .primitives import Primitive
 from .state import SimulationState
 from .tools import l_tool
@@ -53,8 +54,7 @@ class ToolUse:
 
     def facts(self, state: SimulationState) -> dict[str, bool]:
         """Evaluates the zoo's predicate: the cube touches the pot and their origins are close."""
-        away = np.abs(state.position("pot_main") - state.position("cube_main"))
-        return {"cube_in_pot": bool(state.touching("cube", "pot") and np.hypot(*away[:2]) < 0.06 and away[2] < 0.05)}
+        return {"cube_in_pot": cube_in_pot(state)}
 
 
 def fetched_tool_y(cube_y: float) -> float:
