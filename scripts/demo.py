@@ -140,9 +140,7 @@ def run(stage: Stage, seconds: dict[str, float]) -> None:
     print(f"\n== {stage.name}: {' '.join(command)}", flush=True)
     program = Path(sys.executable).with_name(command[0])  # of this very environment, whatever the PATH says
     began = time.monotonic()
-    # Everything is local: LeRobot need not ask the Hub. Threads that wait must not spin: on a machine with other work a
-    # training step would take ten times as long.
-    environment = os.environ | {"HF_HUB_OFFLINE": "1", "OMP_WAIT_POLICY": "passive"}
+    environment = os.environ | {"HF_HUB_OFFLINE": "1"}  # everything is local: LeRobot need not ask the Hub
     try:
         subprocess.run([program, *command[1:]], check=True, env=environment | stage.environment)
     finally:
