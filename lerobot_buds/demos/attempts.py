@@ -37,19 +37,20 @@ class Attempt:
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
 
 
-def attempt(env: RobosuiteEnv, seed: int) -> Attempt:
+def attempt(env: RobosuiteEnv, seed: int, tremor_seed: int | None = None) -> Attempt:
     """Lets the demonstrator do the environment's task once.
 
     Args:
         env: The environment; its episode limit does not bind the demonstrator.
         seed: Determines the start and all of the demonstrator's variety.
+        tremor_seed: Gives the same start and the same intentions another noise on the hand's command, where given.
     """
     observation, _ = env.reset(seed=seed)
     rows: dict[str, list[Any]] = {}
     stage_names = TASKS[env.task].stages
     held = stage = 0
     try:
-        for stage, wish in _script(env, seed):
+        for stage, wish in _script(env, seed, tremor_seed):
             action = env.executed(wish)
             for name, value in _row(observation, action, stage).items():
                 rows.setdefault(name, []).append(value)
@@ -66,8 +67,9 @@ def attempt(env: RobosuiteEnv, seed: int) -> Attempt:
     return Attempt(seed, True, arrays={name: np.stack(values) for name, values in rows.items()})
 
 
-def _script(env: RobosuiteEnv, seed: int) -> Iterator[tuple[int, Action]]:
-    hand = Demonstrator(env.state, np.random.default_rng([seed, 1]))
+def _script(env: RobosuiteEnv, seed: int, tremor_seed: int | None) -> Iterator[tuple[int, Action]]:
+    tremor = None if tremor_seed is None else np.random.default_rng(tremor_seed)
+    hand = Demonstrator(env.state, np.random.default_rng([seed, 1]), tremor)
     task = TASKS[env.task]
     order = draw_order(task, hand.rng)
     for number in order:

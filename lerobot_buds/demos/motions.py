@@ -46,7 +46,7 @@ class Manner:
 def draw_manner(rng: np.random.Generator) -> Manner:
     """Draws one episode's manner. Ranges are ours: within SpaceMouse limits, with the paper's demonstration lengths."""
     return Manner(
-        speed=rng.uniform(0.36, 0.625),
+        speed=rng.uniform(0.33, 0.625),
         tremor=rng.uniform(0.02, 0.08),
         curve=rng.uniform(0.0, 0.25),
         hesitation=rng.uniform(0.05, 0.35),
@@ -59,13 +59,17 @@ class Demonstrator:
     Args:
         state: The true state of the simulation.
         rng: Source of all variety.
+        tremor_rng: Source of the noise on the hand's command; a child of `rng` where None.
 
     Attributes:
         closed: What the gripper is told at every step, closed or open, until this is changed.
     """
 
-    def __init__(self, state: SimulationView, rng: np.random.Generator) -> None:
+    def __init__(
+        self, state: SimulationView, rng: np.random.Generator, tremor_rng: np.random.Generator | None = None
+    ) -> None:
         self.state, self.rng = state, rng
+        self._tremor_rng = tremor_rng or rng.spawn(1)[0]
         self.manner = draw_manner(rng)
         self.closed = False
         self._tremor: Vec = np.zeros(3)
@@ -121,5 +125,5 @@ class Demonstrator:
         wish *= min(1.0, speed / (float(np.linalg.norm(wish)) + 1e-9))
         # The stationary deviation of this process is `tremor`.
         fresh = np.sqrt(1.0 - _TREMOR_MEMORY**2) * self.manner.tremor
-        self._tremor = _TREMOR_MEMORY * self._tremor + self.rng.normal(0.0, fresh, 3)
+        self._tremor = _TREMOR_MEMORY * self._tremor + self._tremor_rng.normal(0.0, fresh, 3)
         return np.append(np.clip(wish + self._tremor, -1.0, 1.0), 1.0 if self.closed else -1.0).astype(np.float32)

@@ -55,12 +55,14 @@ class EnvSettings:
         max_steps: Episode length (control steps); None for the task's own.
         image_size: Height and width of both cameras (pixels).
         render_profile: A key of `rendering.PROFILES`.
+        draws: Draws the cameras; without, images are black and cost nothing, for surveys of states alone.
     """
 
     task: str
     max_steps: int | None = None
     image_size: int = 128
     render_profile: str = "fast"
+    draws: bool = True
 
 
 class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
@@ -105,6 +107,7 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._simulation: TabletopEnv | None = None
         self._renderer: CameraRenderer | None = None
         self._steps = 0
+        self._black = {name: np.zeros((size, size, 3), np.uint8) for name in CAMERAS}
 
     @property
     def simulation(self) -> "TabletopEnv":
@@ -189,10 +192,13 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer = open_renderer(self.simulation, self.settings.render_profile, self.settings.image_size)
         return self._renderer.render(camera)
 
+    def _draw_all(self) -> dict[str, NDArray[np.uint8]]:
+        return {name: self._draw(camera) for name, camera in CAMERAS.items()}
+
     def _observe(self) -> Observation:
         state = self.state
         return {
-            "pixels": {name: self._draw(camera) for name, camera in CAMERAS.items()},
+            "pixels": self._draw_all() if self.settings.draws else self._black,
             "agent_pos": np.concatenate([state.arm, state.fingers, state.hand]).astype(np.float32),
             "render_profile": np.array([list(PROFILES).index(self.settings.render_profile)], dtype=np.float32),
         }

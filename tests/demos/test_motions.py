@@ -153,7 +153,7 @@ def test_an_attempt_fails_whose_goal_does_not_hold_at_the_end():
 @given(st.integers(0, 2**32 - 1))
 def test_manners_are_human(seed):
     manner = draw_manner(np.random.default_rng(seed))
-    assert 0.36 <= manner.speed <= 0.625  # the SpaceMouse's limit
+    assert 0.33 <= manner.speed <= 0.625  # the SpaceMouse's limit
     assert 0 < manner.tremor < 0.1 and 0 <= manner.curve <= 0.25 and 0 <= manner.hesitation < 1
 
 
