@@ -106,7 +106,7 @@ def evaluate() -> list[str]:
 def demonstrations_figure() -> str:
     """Counts demonstrations, frames and failed attempts."""
     info, record = read_json(DEMONSTRATIONS / "meta/info.json"), read_json(DEMONSTRATIONS / COLLECTION_FILE)
-    failed = len(record["failed_attempts"])
+    failed = sum(len(task["failed_attempts"]) for task in record["tasks"])
     return f"{info['total_episodes']} demonstrations, {info['total_frames']} frames, {failed} failed attempts"
 
 

@@ -2,8 +2,11 @@
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 
 from lerobot_buds.core import ConfigError
+from lerobot_buds.demos.attempts import attempt_in_worker
+from lerobot_buds.demos.pictures import draw_attempt
 from lerobot_buds.demos.recording import Recording, Summary, record
 from lerobot_buds.envs import EnvSettings, profile_named, tasks_named
 
@@ -14,14 +17,14 @@ from .running import dataset_root, parse, run
 class CollectConfig:
     """Settings of a recording."""
 
-    repo_id: str
+    repo_id: str = "local/demonstrations"
     """The dataset's name, for example ``me/close_and_serve``."""
 
     task: str = "multitask_kitchen/task3_variant1"
-    """The task's name."""
+    """Task names, comma-separated; a suite's name selects all of its tasks. All go into one dataset."""
 
     episodes: int = 40
-    """Number of successful demonstrations wanted."""
+    """Number of successful demonstrations wanted of each task."""
 
     root: str | None = None
     """The dataset's folder; None for LeRobot's own place for `repo_id`."""
@@ -41,6 +44,9 @@ class CollectConfig:
     video: bool = True
     """Stores the cameras as video, else as images."""
 
+    preview: Path | None = None
+    """Folder for one contact sheet a task, of one attempt each, to look at; nothing is recorded then."""
+
 
 def collect(config: CollectConfig) -> Summary:
     """Records the demonstrations that the settings ask for.
@@ -50,15 +56,11 @@ def collect(config: CollectConfig) -> Summary:
         DatasetError: The dataset exists, or another process is recording it.
         BudsError: The demonstrator fails most of its attempts, or a worker process died.
     """
-    tasks = tasks_named(config.task)
-    if len(tasks) != 1:
-        raise ConfigError(f"{config.task!r} names {len(tasks)} tasks; record one dataset each.")
-    profile_named(config.render_profile)
     return record(
         Recording(
             repo_id=config.repo_id,
             root=dataset_root(config.repo_id, config.root),
-            settings=EnvSettings(tasks[0].name, None, config.image_size, config.render_profile),
+            settings=env_settings(config),
             episodes=config.episodes,
             seed=config.seed,
             workers=config.workers or len(os.sched_getaffinity(0)),
@@ -67,9 +69,44 @@ def collect(config: CollectConfig) -> Summary:
     )
 
 
+def env_settings(config: CollectConfig) -> tuple[EnvSettings, ...]:
+    """Makes the settings of one environment a task.
+
+    Raises:
+        ConfigError: A task or the profile is unknown, or a task has no demonstrator.
+    """
+    tasks = tasks_named(config.task)
+    stock = [task.name for task in tasks if task.stock]
+    if stock:
+        raise ConfigError(f"There is no demonstrator for robosuite's own tasks: {', '.join(stock)}.")
+    profile_named(config.render_profile)
+    return tuple(EnvSettings(task.name, None, config.image_size, config.render_profile) for task in tasks)
+
+
+def preview(config: CollectConfig, folder: Path) -> list[Path]:
+    """Draws a contact sheet of one attempt at every task.
+
+    Returns:
+        The pictures.
+
+    Raises:
+        ConfigError: A setting cannot work.
+        BudsError: An attempt failed.
+    """
+    pictures = []
+    for settings in env_settings(config):
+        pictures.append(folder / f"{settings.task.replace('/', '.')}.png")
+        draw_attempt(attempt_in_worker(settings, config.seed), tasks_named(settings.task)[0].stages, pictures[-1])
+    return pictures
+
+
 def main() -> None:
     """Entry point of the console script."""
     config = parse(CollectConfig)
+    if config.preview is not None:
+        folder = config.preview
+        print(*run(lambda: preview(config, folder)), sep="\n")
+        return
     summary = run(lambda: collect(config))
     print(
         f"{summary.episodes} demonstrations, {summary.frames} frames, from {summary.attempts} attempts "

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_buds.core import IMAGE_PREFIX, TRUE_STAGE, write_atomically
+from lerobot_buds.core import IMAGE_PREFIX, TRUE_STAGE, BudsError, write_atomically
 
+from .attempts import Attempt
 from .frames import cached_frames
 from .tables import DatasetFiles, read_table
 
@@ -33,30 +34,50 @@ def draw_contact_sheet(
     episode = int(np.argsort(table.ends - table.starts, kind="stable")[len(table.starts) // 2])
     start, end = int(table.starts[episode]), int(table.ends[episode])
     stage_of = table.columns[TRUE_STAGE][start:end] if stages else np.zeros(end - start, dtype=np.int64)
-    rows = []
-    for number in np.unique(stage_of).tolist():
-        frames = start + np.flatnonzero(stage_of == number)
-        shown = frames[np.linspace(0, len(frames) - 1, columns).round().astype(int)]
-        for camera in cameras:
-            label = camera.removeprefix(IMAGE_PREFIX)
-            name = f"{stages[number]}\n{label}" if stages else label
-            rows.append((name, shown, cached_frames(root, camera, cache_dir)[shown]))
-    _draw(path, rows, start)
+    images = {
+        camera.removeprefix(IMAGE_PREFIX): cached_frames(root, camera, cache_dir)[start:end].transpose(0, 2, 3, 1)
+        for camera in cameras
+    }
+    _draw(path, images, stage_of, stages, columns)
 
 
-def _draw(path: Path, rows: list[tuple[str, NDArray[np.int64], NDArray[np.uint8]]], start: int) -> None:
+def draw_attempt(attempt: Attempt, stages: tuple[str, ...], path: Path, columns: int = 6) -> None:
+    """Draws one attempt like `draw_contact_sheet`.
+
+    Raises:
+        BudsError: It failed, so that there is nothing to see.
+    """
+    if not attempt.success:
+        raise BudsError(f"The attempt from seed {attempt.seed} failed ({attempt.failure}); take another --seed.")
+    images = {name: rows for name, rows in attempt.arrays.items() if rows.ndim == 4}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _draw(path, images, attempt.arrays["true_stage"][:, 0], stages, columns)
+
+
+def _draw(
+    path: Path,
+    images: dict[str, NDArray[np.uint8]],
+    stage_of: NDArray[np.int64],
+    stages: tuple[str, ...],
+    columns: int,
+) -> None:
+    """Draws the frames of every camera, (T, H, W, 3) each, by the stage of a frame, (T,)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    columns = len(rows[0][1])
+    numbers = list(dict.fromkeys(stage_of.tolist()))  # in the order in which the stages were done
+    rows = [(number, camera) for number in numbers for camera in images]
     figure = Figure(figsize=(1.5 * columns + 1.2, 1.65 * len(rows)), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), columns, squeeze=False)
-    for axes_row, (name, frames, images) in zip(grid, rows, strict=True):
-        for axes, frame, image in zip(axes_row, frames, images, strict=True):
-            axes.imshow(image.transpose(1, 2, 0))
-            axes.set_title(f"frame {frame - start}", fontsize="x-small")
+    for axes_row, (number, camera) in zip(grid, rows, strict=True):
+        frames = np.flatnonzero(stage_of == number)
+        shown = frames[np.linspace(0, len(frames) - 1, columns).round().astype(int)]
+        for axes, frame in zip(axes_row, shown.tolist(), strict=True):
+            axes.imshow(images[camera][frame])
+            axes.set_title(f"frame {frame}", fontsize="x-small")
             axes.set_xticks([])
             axes.set_yticks([])
+        name = f"{stages[number]}\n{camera}" if stages else camera
         axes_row[0].set_ylabel(name, rotation=0, ha="right", va="center", fontsize="small")
     write_atomically(path, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))

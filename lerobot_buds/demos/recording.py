@@ -1,8 +1,9 @@
 """Records scripted demonstrations into a LeRobotDataset: in parallel, resumable, the same for any number of workers.
 
-Attempts run in worker processes and are staged one file each in a folder beside the dataset. The episodes are the first
-successful attempts in the order of their seeds. When there are enough, one writer makes the dataset in the same folder
-and renames it into place. A kill loses the attempts in flight, or the writing, and nothing else.
+Attempts run in worker processes and are staged one file each in a folder beside the dataset. The episodes are, one task
+after the other, the first successful attempts in the order of their seeds. When there are enough, one writer makes the
+dataset in the same folder and renames it into place. A kill loses the attempts in flight, or the writing, and nothing
+else.
 """
 
 import logging
@@ -40,15 +41,16 @@ from lerobot_buds.core import (
     write_atomically,
     write_json,
 )
-from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, tasks_named
+from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, Task, tasks_named
 
 from .attempts import Attempt, attempt_in_worker
+from .card import write_card
 from .pictures import draw_contact_sheet
 from .writing import camera_feature, create_dataset, vector_feature, write_episode
 
 logger = logging.getLogger(__name__)
 
-RECORD_VERSION = 1
+RECORD_VERSION = 2
 EVALUATION_SEEDS = 100_000
 """Seeds from here on are for evaluation, never for demonstrations."""
 
@@ -64,20 +66,30 @@ class Recording:
     Attributes:
         repo_id: The dataset's name.
         root: The dataset's folder, which must not exist.
-        settings: The environment.
-        episodes: Number of successful demonstrations wanted.
-        seed: Seed of the first attempt; each further attempt takes the next one.
+        settings: The environments, one a task, that are drawn alike.
+        episodes: Number of successful demonstrations wanted of each task.
+        seed: Seed of the first attempt at each task; each further attempt takes the next one.
         workers: Processes.
         video: Stores the cameras as video (small, for the Hub), else as images (faster to load).
     """
 
     repo_id: str
     root: Path
-    settings: EnvSettings
+    settings: tuple[EnvSettings, ...]
     episodes: int
     seed: int
     workers: int
     video: bool
+
+    @property
+    def tasks(self) -> list[Task]:
+        """The tasks recorded, in order."""
+        return [tasks_named(settings.task)[0] for settings in self.settings]
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Names of the true stages of all tasks, each once: what the column of true stages counts."""
+        return tuple(dict.fromkeys(stage for task in self.tasks for stage in task.stages))
 
 
 @dataclass(frozen=True)
@@ -87,7 +99,7 @@ class Summary:
     Attributes:
         episodes: Demonstrations in the dataset.
         attempts: Attempts behind them.
-        failures: Failed attempts by stage and reason.
+        failures: Failed attempts by task, stage and reason.
         frames: Frames in the dataset.
         seconds: Time that this call took (s).
     """
@@ -117,13 +129,19 @@ def record(recording: Recording) -> Summary:
     try:
         with lock.acquire(blocking=False):
             _claim(staging, recording)
-            attempts = list(_attempts(staging, recording))
+            attempts = _all_attempts(staging, recording)
             frames = _write_dataset(staging, recording, attempts)
             shutil.rmtree(staging)
     except Timeout:
         raise DatasetError(f"Another process is recording {recording.root}; wait for it to end.") from None
-    failures = Counter(a.failure for a in attempts if not a.success)
-    return Summary(recording.episodes, len(attempts), dict(failures), frames, time.monotonic() - began)
+    failures = Counter(
+        f"{task.name}: {a.failure}"
+        for task, of_task in zip(recording.tasks, attempts, strict=True)
+        for a in of_task
+        if not a.success
+    )
+    episodes = recording.episodes * len(recording.tasks)
+    return Summary(episodes, sum(map(len, attempts)), dict(failures), frames, time.monotonic() - began)
 
 
 def _check_numbers(recording: Recording) -> None:
@@ -131,7 +149,7 @@ def _check_numbers(recording: Recording) -> None:
         ("episodes", recording.episodes, 1),
         ("workers", recording.workers, 1),
         ("seed", recording.seed, 0),
-        ("image_size", recording.settings.image_size, _SMALLEST_VIDEO if recording.video else 1),
+        ("image_size", recording.settings[0].image_size, _SMALLEST_VIDEO if recording.video else 1),
     ):
         if value < least:
             raise ConfigError(f"{name}={value} cannot work; it must be at least {least}.")
@@ -142,7 +160,7 @@ def _check_numbers(recording: Recording) -> None:
 
 def _claim(staging: Path, recording: Recording) -> None:
     """Refuses to mix attempts of different settings in one staging folder."""
-    wanted = {"settings": asdict(recording.settings), "seed": recording.seed}
+    wanted = {"settings": [asdict(settings) for settings in recording.settings], "seed": recording.seed}
     claim = staging / "settings.json"
     if claim.exists() and read_json(claim) != wanted:
         raise DatasetError(
@@ -151,30 +169,38 @@ def _claim(staging: Path, recording: Recording) -> None:
     write_json(claim, wanted)
 
 
-def _attempts(staging: Path, recording: Recording) -> Iterator[Attempt]:
-    """Yields attempts in the order of their seeds, without their arrays, until enough of them succeeded."""
-    bar = tqdm(total=recording.episodes, desc="demonstrations", unit="episode", dynamic_ncols=True)
-    done = failed = 0
+def _all_attempts(staging: Path, recording: Recording) -> list[list[Attempt]]:
+    """Runs the attempts at every task; returns them, without their arrays, in the order of tasks and seeds."""
+    total = recording.episodes * len(recording.tasks)
+    bar = tqdm(total=total, desc="demonstrations", unit="episode", dynamic_ncols=True)
     pool = ProcessPoolExecutor(recording.workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
-        pending: list[Future[Attempt]] = []
-        next_seed = recording.seed
-        while done < recording.episodes:
-            while len(pending) < min(2 * recording.workers, recording.episodes - done):
-                pending.append(pool.submit(_staged_attempt, staging, recording.settings, next_seed))
-                next_seed += 1
-            result = pending.pop(0).result()
-            done, failed = done + result.success, failed + (not result.success)
-            bar.update(int(result.success))
-            bar.set_postfix(failed=failed)
-            if failed > _HOPELESS_AFTER and failed > done:
-                raise BudsError(f"The demonstrator failed {failed} of {done + failed} attempts: {result.failure}.")
-            yield result
+        return [list(_attempts(pool, staging, recording, settings, bar)) for settings in recording.settings]
     except BrokenProcessPool as error:
         raise BudsError("A worker process died (out of memory?). Run the same command again to go on.") from error
     finally:
         bar.close()
         pool.shutdown(cancel_futures=True)
+
+
+def _attempts(
+    pool: ProcessPoolExecutor, staging: Path, recording: Recording, settings: EnvSettings, bar: "tqdm[Any]"
+) -> Iterator[Attempt]:
+    """Yields attempts at one task in the order of their seeds until enough of them succeeded."""
+    done = failed = 0
+    pending: list[Future[Attempt]] = []
+    next_seed = recording.seed
+    while done < recording.episodes:
+        while len(pending) < min(2 * recording.workers, recording.episodes - done):
+            pending.append(pool.submit(_staged_attempt, staging, settings, next_seed))
+            next_seed += 1
+        result = pending.pop(0).result()
+        done, failed = done + result.success, failed + (not result.success)
+        bar.update(int(result.success))
+        bar.set_postfix(task=settings.task, failed=failed)
+        if failed > _HOPELESS_AFTER and failed > done:
+            raise BudsError(f"The demonstrator failed {failed} of {done + failed} attempts: {result.failure}.")
+        yield result
 
 
 def _end_with_parent() -> None:
@@ -191,18 +217,18 @@ def _end_with_parent() -> None:
 
 def _staged_attempt(staging: Path, settings: EnvSettings, seed: int) -> Attempt:
     """Runs one attempt in a worker and stages it, unless an earlier run did."""
-    outcome = staging / f"{seed:06d}.json"
+    outcome = _staged(staging, settings.task, seed, "json")
     if outcome.exists():
         return Attempt(**read_json(outcome))
     result = attempt_in_worker(settings, seed)
     if result.success:
-        write_atomically(_arrays_file(staging, seed), partial(_save_arrays, result.arrays))
+        write_atomically(_staged(staging, settings.task, seed, "npz"), partial(_save_arrays, result.arrays))
     write_json(outcome, {"seed": seed, "success": result.success, "failure": result.failure})
     return Attempt(seed, result.success, result.failure)
 
 
-def _arrays_file(staging: Path, seed: int) -> Path:
-    return staging / f"{seed:06d}.npz"
+def _staged(staging: Path, task: str, seed: int, suffix: str) -> Path:
+    return staging / f"{task.replace('/', '.')}.{seed:06d}.{suffix}"
 
 
 def _save_arrays(arrays: dict[str, NDArray[Any]], path: Path) -> None:
@@ -210,28 +236,40 @@ def _save_arrays(arrays: dict[str, NDArray[Any]], path: Path) -> None:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def _write_dataset(staging: Path, recording: Recording, attempts: list[Attempt]) -> int:
-    task = tasks_named(recording.settings.task)[0]
+def _write_dataset(staging: Path, recording: Recording, attempts: list[list[Attempt]]) -> int:
     folder = staging / "dataset"
     shutil.rmtree(folder, ignore_errors=True)  # what a killed call left
     dataset = create_dataset(recording.repo_id, folder, FPS, _features(recording), robot_type="panda")
-    frames = 0
-    for seed in tqdm(
-        [a.seed for a in attempts if a.success], "writing the dataset", unit="episode", dynamic_ncols=True
-    ):
-        with np.load(_arrays_file(staging, seed), allow_pickle=False) as arrays:
-            columns = {IMAGE_PREFIX + camera: arrays[camera] for camera in CAMERAS}
-            columns |= {STATE: arrays["agent_pos"], ACTION: arrays["action"], TRUE_STAGE: arrays["true_stage"]}
-        frames += write_episode(dataset, columns, task.description)
+    episodes = [
+        (task, a.seed) for task, of_task in zip(recording.tasks, attempts, strict=True) for a in of_task if a.success
+    ]
+    lengths = [
+        write_episode(dataset, _columns(_staged(staging, task.name, seed, "npz"), task, recording), task.description)
+        for task, seed in tqdm(episodes, "writing the dataset", unit="episode", dynamic_ncols=True)
+    ]
     dataset.finalize()
-    write_json(folder / COLLECTION_FILE, _collection_record(recording, attempts))
-    draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, task.stages)
+    record = _collection_record(recording, attempts)
+    write_json(folder / COLLECTION_FILE, record)
+    draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, recording.stages)
+    write_card(folder, record, lengths)
     folder.replace(recording.root)
-    return frames
+    return sum(lengths)
+
+
+def _columns(arrays_file: Path, task: Task, recording: Recording) -> dict[str, NDArray[Any]]:
+    """Reads a staged attempt as the columns of its episode."""
+    number_of = np.array([recording.stages.index(stage) for stage in task.stages])
+    with np.load(arrays_file, allow_pickle=False) as arrays:
+        return {
+            **{IMAGE_PREFIX + camera: arrays[camera] for camera in CAMERAS},
+            STATE: arrays["agent_pos"],
+            ACTION: arrays["action"],
+            TRUE_STAGE: number_of[arrays["true_stage"]],
+        }
 
 
 def _features(recording: Recording) -> dict[str, dict[str, Any]]:
-    size = recording.settings.image_size
+    size = recording.settings[0].image_size
     return {
         **{IMAGE_PREFIX + camera: camera_feature((size, size, 3), recording.video) for camera in CAMERAS},
         STATE: vector_feature(STATE_NAMES),
@@ -240,16 +278,21 @@ def _features(recording: Recording) -> dict[str, dict[str, Any]]:
     }
 
 
-def _collection_record(recording: Recording, attempts: list[Attempt]) -> dict[str, Any]:
-    task = tasks_named(recording.settings.task)[0]
+def _collection_record(recording: Recording, attempts: list[list[Attempt]]) -> dict[str, Any]:
     return {
         "version": RECORD_VERSION,
         "demonstrator": "scripted",
-        "task": task.name,
-        "stages": list(task.stages),
-        "render_profile": recording.settings.render_profile,
-        "image_size": recording.settings.image_size,
-        "episode_seeds": [a.seed for a in attempts if a.success],
-        "failed_attempts": [{"seed": a.seed, "failure": a.failure} for a in attempts if not a.success],
+        "tasks": [
+            {
+                "name": task.name,
+                "description": task.description,
+                "episode_seeds": [a.seed for a in of_task if a.success],
+                "failed_attempts": [{"seed": a.seed, "failure": a.failure} for a in of_task if not a.success],
+            }
+            for task, of_task in zip(recording.tasks, attempts, strict=True)
+        ],
+        "stages": list(recording.stages),
+        "render_profile": recording.settings[0].render_profile,
+        "image_size": recording.settings[0].image_size,
         "versions": {name: version(name) for name in ("lerobot_policy_buds", "lerobot", "robosuite", "mujoco")},
     }

@@ -27,6 +27,7 @@ class RobosuiteEnvConfig(EnvConfig):  # type: ignore[misc]  # LeRobot ships no t
         episode_length: Episode length (control steps); None for each task's own.
         image_size: Height and width of both cameras (pixels).
         render_profile: What is drawn: ``fast``, ``fastest`` or ``full``. Must be that of the demonstrations.
+        released: Goals and workspace to the letter of the original's released code; see docs/environments.md.
     """
 
     task: str = "multitask_kitchen/task3_variant1"
@@ -34,6 +35,7 @@ class RobosuiteEnvConfig(EnvConfig):  # type: ignore[misc]  # LeRobot ships no t
     episode_length: int | None = None
     image_size: int = 128
     render_profile: str = "fast"
+    released: bool = False
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     features_map: dict[str, str] = field(default_factory=dict)
 
@@ -78,7 +80,9 @@ class RobosuiteEnvConfig(EnvConfig):  # type: ignore[misc]  # LeRobot ships no t
         check_versions(installed_version("robosuite"), installed_version("mujoco"))
         suites: dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]] = {}
         for task in tasks_named(self.task):
-            settings = EnvSettings(task.name, self.episode_length, self.image_size, self.render_profile)
+            settings = EnvSettings(
+                task.name, self.episode_length, self.image_size, self.render_profile, released=self.released
+            )
             group = suites.setdefault(task.suite, {})
             group[len(group)] = EpisodeVectorEnv(settings, n_envs, in_workers=use_async_envs and n_envs > 1)
         return suites

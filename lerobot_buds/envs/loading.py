@@ -14,6 +14,7 @@ from .tasks import Task
 
 if TYPE_CHECKING:
     from .simulation.renderer import CameraRenderer
+    from .simulation.stock import StockEnv
     from .simulation.tabletop import TabletopEnv
 
 ROBOSUITE_VERSION = "1.5.1"
@@ -55,7 +56,7 @@ def installed_version(distribution: str) -> str | None:
         return None
 
 
-def open_simulation(task: Task) -> "TabletopEnv":
+def open_simulation(task: Task) -> "TabletopEnv | StockEnv":
     """Builds the robosuite environment of a task.
 
     Raises:
@@ -69,6 +70,7 @@ def open_simulation(task: Task) -> "TabletopEnv":
     logging.disable(logging.WARNING)  # robosuite warns about optional packages that nothing here uses
     try:
         from .simulation.scenes import build_scene
+        from .simulation.stock import StockEnv
         from .simulation.tabletop import TabletopEnv
 
         logging.getLogger("robosuite_logs").setLevel(logging.ERROR)
@@ -82,10 +84,10 @@ def open_simulation(task: Task) -> "TabletopEnv":
         raise cannot_draw(error) from error
     finally:
         logging.disable(quiet_before)
-    return TabletopEnv(build_scene(task))
+    return StockEnv(task.name) if task.stock else TabletopEnv(build_scene(task))
 
 
-def open_renderer(simulation: "TabletopEnv", profile: str, size: int) -> "CameraRenderer":
+def open_renderer(simulation: "TabletopEnv | StockEnv", profile: str, size: int) -> "CameraRenderer":
     """Makes the renderer of a simulation, for the process and thread that calls.
 
     Raises:

@@ -20,6 +20,7 @@ from .tasks import tasks_named
 if TYPE_CHECKING:
     from .simulation.renderer import CameraRenderer
     from .simulation.state import SimulationState
+    from .simulation.stock import StockEnv
     from .simulation.tabletop import TabletopEnv
 
 FPS = 20
@@ -56,6 +57,7 @@ class EnvSettings:
         image_size: Height and width of both cameras (pixels).
         render_profile: A key of `rendering.PROFILES`.
         draws: Draws the cameras; without, images are black and cost nothing, for surveys of states alone.
+        released: Takes the goal and the workspace to the letter of the original's released code.
     """
 
     task: str
@@ -63,6 +65,7 @@ class EnvSettings:
     image_size: int = 128
     render_profile: str = "fast"
     draws: bool = True
+    released: bool = False
 
 
 class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
@@ -90,7 +93,7 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
             raise ConfigError(f"{settings.task!r} names {len(tasks)} tasks; one environment runs exactly one.")
         profile_named(settings.render_profile)
         self.settings = settings
-        self._task = tasks[0]
+        self._task = tasks[0].as_released() if settings.released else tasks[0]
         self.task = self._task.name
         self.task_description = self._task.description
         self._max_episode_steps = settings.max_steps or self._task.max_steps
@@ -104,13 +107,13 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
             }
         )
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)
-        self._simulation: TabletopEnv | None = None
+        self._simulation: TabletopEnv | StockEnv | None = None
         self._renderer: CameraRenderer | None = None
         self._steps = 0
         self._black = {name: np.zeros((size, size, 3), np.uint8) for name in CAMERAS}
 
     @property
-    def simulation(self) -> "TabletopEnv":
+    def simulation(self) -> "TabletopEnv | StockEnv":
         """The robosuite environment, made on first use.
 
         Raises:
@@ -156,7 +159,6 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._steps += 1
         if self.state.diverged():
             raise SimulatorError(f"Step {self._steps} of {self.task}: the simulation diverged to NaN or infinity.")
-        self.simulation.scene.update(self.state)
         success = self.simulation.succeeded()
         truncated = self._steps >= self._max_episode_steps and not success
         return self._observe(), float(success), success, truncated, {"is_success": success}

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from lerobot_buds.core import ConfigError, near_names
+
+_UNBOUNDED = ((-math.inf, math.inf),) * 3
 
 
 @dataclass(frozen=True)
@@ -17,10 +19,12 @@ class Task:
         scene: What stands on the table: a key of `simulation.scenes.SCENES`.
         start: Facts that hold at the start and do not in the scene's plain arrangement.
         goal: Names of the facts that must all hold at once.
+        released_goal: The same as the original's released code has it.
         stages: The demonstrator's stages, in their usual order.
         max_steps: Default episode length (control steps), from the original's README.
         workspace: Ranges of x, y and z that the hand is not sent beyond (m).
         needs: Which stages must come before a stage; where it names none for a stage, all those listed before it.
+        stock: It is one of robosuite's own, which brings its objects, start and goal itself.
     """
 
     name: str
@@ -28,15 +32,21 @@ class Task:
     scene: str
     start: frozenset[str]
     goal: tuple[str, ...]
+    released_goal: tuple[str, ...]
     stages: tuple[str, ...]
     max_steps: int = 2500
-    workspace: tuple[tuple[float, float], ...] = ((-math.inf, math.inf),) * 3
+    workspace: tuple[tuple[float, float], ...] = _UNBOUNDED
     needs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    stock: bool = False
 
     @property
     def suite(self) -> str:
         """The part of the name before the slash; LeRobot groups results by it."""
         return self.name.split("/")[0]
+
+    def as_released(self) -> "Task":
+        """Makes the task as the original's released code has it: its literal goal, and no bound on the workspace."""
+        return replace(self, goal=self.released_goal, workspace=_UNBOUNDED)
 
 
 # The paper's full goals. Released predicates leave out facts that hold at a variant's start and break by accident only.
@@ -59,6 +69,9 @@ _MULTITASK_GOALS: dict[int, tuple[str, tuple[str, ...]]] = {
 def _multitask(number: int, variant: int, start: set[str], *stages: str) -> Task:
     """Makes one variant. A meta controller serves all variants of a task, so they share its goal and description."""
     description, goal = _MULTITASK_GOALS[number]
+    # The release asks in Task-3 for all of it, in the others only for what does not hold at the start.
+    held = (set() if "drawer_open" in start else {"drawer_closed"}) | start & {"stove_on"}
+    released = tuple(fact for fact in goal if number == 3 or fact not in held)
     # Nothing but the goal asks for the stove, while the open drawer is in the way and the cube is to go with the pot.
     needs = {"turn_on": (), "cube_in_pot": (), "push_pot": ("cube_in_pot",), "pot_on_stove": ("cube_in_pot",)}
     return Task(
@@ -67,9 +80,15 @@ def _multitask(number: int, variant: int, start: set[str], *stages: str) -> Task
         scene="multitask_kitchen",
         start=frozenset(start),
         goal=goal,
+        released_goal=_any_contact(released),
         stages=stages,
         needs=needs if "turn_on" in stages else {},
     )
+
+
+def _any_contact(goal: tuple[str, ...]) -> tuple[str, ...]:
+    """Replaces "in the pot" by what the release's kitchens take for it."""
+    return tuple("cube_touches_pot" if fact == "cube_in_pot" else fact for fact in goal)
 
 
 # Without it the hand could simply take the cube, and the tool would be needless (ours; the original has no bound).
@@ -84,6 +103,7 @@ TASKS: dict[str, Task] = {
             "tool_use",
             frozenset(),
             ("cube_in_pot",),
+            ("cube_in_pot",),
             ("grasp_tool", "hook_cube", "pull_cube", "put_tool_aside", "grasp_cube", "put_cube_in_pot"),
             1500,
             _NEAR_SIDE,
@@ -93,6 +113,7 @@ TASKS: dict[str, Task] = {
             "put the cube into the pot",
             "tool_use",
             frozenset({"cube_fetched"}),
+            ("cube_in_pot",),
             ("cube_in_pot",),
             ("grasp_cube", "put_cube_in_pot"),
             1500,
@@ -104,6 +125,7 @@ TASKS: dict[str, Task] = {
             "hammer_place",
             frozenset(),
             ("hammer_in_drawer", "drawer_closed"),
+            ("hammer_in_drawer", "drawer_closed"),
             ("open_drawer", "grasp_hammer", "put_hammer_in_drawer", "close_drawer"),
             1500,
         ),
@@ -113,6 +135,7 @@ TASKS: dict[str, Task] = {
             scene="kitchen",
             start=frozenset(),
             goal=("stove_has_been_on", "stove_off", "cube_in_pot", "pot_in_region"),
+            released_goal=("stove_has_been_on", "stove_off", "cube_touches_pot", "pot_in_region"),
             stages=("turn_on", "pot_on_stove", "cube_in_pot", "pot_off_stove", "push_pot", "turn_off"),
             needs={"pot_on_stove": (), "cube_in_pot": ("pot_on_stove",), "turn_off": ("turn_on", "cube_in_pot")},
             max_steps=5000,
@@ -132,17 +155,37 @@ TASKS: dict[str, Task] = {
             scene="real_kitchen",
             start=frozenset(),
             goal=("lid_off", "pot_on_tray", "tray_aside", "tool_has_been_lifted", "tool_put_down"),
+            released_goal=("lid_off", "pot_on_tray", "tray_aside", "tool_has_been_lifted", "tool_put_down"),
             stages=("take_lid_off", "pot_on_tray", "take_tool", "push_tray", "put_tool_down"),
         ),
     )
 }
 
 
+STOCK_TASKS: dict[str, Task] = {
+    name: Task(name, description, "", frozenset(), (), (), (), max_steps=500, stock=True)
+    for name, description in {
+        "Lift": "lift the cube",
+        "Stack": "stack the red cube on the green one",
+        "NutAssembly": "put both nuts on their pegs",
+        "NutAssemblySquare": "put the square nut on its peg",
+        "NutAssemblyRound": "put the round nut on its peg",
+        "PickPlace": "put every object into its bin",
+        "PickPlaceCan": "put the can into its bin",
+        "PickPlaceMilk": "put the milk into its bin",
+        "PickPlaceBread": "put the bread into its bin",
+        "PickPlaceCereal": "put the cereal into its bin",
+        "Door": "open the door",
+    }.items()
+}
+"""robosuite's own single-arm tasks under its own names, with its usual horizon; they have no demonstrator."""
+
+
 def tasks_named(names: str) -> list[Task]:
     """Looks up a comma-separated selection of tasks; a suite's name selects all of its tasks.
 
     Args:
-        names: For example ``multitask_kitchen/task3_variant1`` or ``multitask_kitchen``.
+        names: For example ``multitask_kitchen/task3_variant1``, ``multitask_kitchen`` or ``Lift``.
 
     Returns:
         The tasks in the order named, each once.
@@ -151,10 +194,11 @@ def tasks_named(names: str) -> list[Task]:
         ConfigError: A name is neither a task nor a suite.
     """
     chosen: dict[str, Task] = {}
+    all_tasks = [*TASKS.values(), *STOCK_TASKS.values()]
     for name in (part.strip() for part in names.split(",")):
-        matches = [t for t in TASKS.values() if name in (t.name, t.suite)]
+        matches = [t for t in all_tasks if name in (t.name, t.suite)]
         if not matches:
-            known = {t.name for t in TASKS.values()} | {t.suite for t in TASKS.values()}
+            known = {t.name for t in all_tasks} | {t.suite for t in all_tasks}
             raise ConfigError(f"There is no robosuite task {name!r}. {near_names(name, known)}")
         chosen |= {t.name: t for t in matches}
     return list(chosen.values())

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import draccus
 import pytest
+from matplotlib.image import imread
 
 from lerobot_buds.cli import collect
 
@@ -29,6 +30,7 @@ def test_arguments_become_settings():
         (["--episodes=many"], "Couldn't parse 'many' into an int"),
         (["--seed=100000"], "Seeds from 100000 on are for evaluation"),
         (["--image_size=16"], "image_size=16 cannot work"),
+        (["--task=tool_use/full,Lift"], "no demonstrator for robosuite's own tasks: Lift"),
     ],
 )
 def test_what_cannot_work_ends_in_one_line(arguments, said, monkeypatch, tmp_path):
@@ -39,6 +41,18 @@ def test_what_cannot_work_ends_in_one_line(arguments, said, monkeypatch, tmp_pat
     assert isinstance(message, str)  # Python prints it and exits with status 1
     assert message.startswith("error: ") and said in message and "\n" not in message
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_preview_is_one_sheet_a_task_and_records_nothing(monkeypatch, tmp_path, capsys):
+    tasks = ("tool_use/cube_fetched", "multitask_kitchen/task3_variant1")
+    arguments = [f"--task={','.join(tasks)}", f"--preview={tmp_path}/sheets", "--image_size=16"]
+    monkeypatch.setattr(sys, "argv", ["lerobot-buds-collect", *arguments, "--render_profile=fastest"])
+    collect.main()
+    sheets = [tmp_path / "sheets" / f"{task.replace('/', '.')}.png" for task in tasks]
+    assert capsys.readouterr().out.split() == [str(sheet) for sheet in sheets]
+    # Two stages of two cameras each, six frames a row.
+    assert all(imread(sheet).shape[:2] == (726, 1122) and imread(sheet).std() > 0.1 for sheet in sheets)
+    assert [path.name for path in tmp_path.iterdir()] == ["sheets"]
 
 
 def test_the_status_is_1_without_a_traceback(tmp_path):

@@ -1,5 +1,6 @@
 """Recording: the same dataset for any number of workers and after a kill, and refusals before any work."""
 
+import re
 import shutil
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filelock import FileLock
+from huggingface_hub import DatasetCard
 
 from lerobot_buds.core import (
     ACTION,
@@ -26,7 +28,7 @@ from lerobot_buds.core import (
 )
 from lerobot_buds.demos import DatasetFiles, cached_frames, check_demonstrations, read_table
 from lerobot_buds.demos.recording import Recording, record
-from lerobot_buds.envs import ACTION_NAMES, STATE_NAMES, EnvSettings
+from lerobot_buds.envs import ACTION_NAMES, STATE_NAMES, TASKS, EnvSettings
 
 CHECKOUT = Path(__file__).parents[2]
 COLLECT = "from lerobot_buds.cli.collect import main; main()"
@@ -37,7 +39,7 @@ LIKE_DEMONSTRATIONS = ["--repo_id=tests/demos", "--episodes=4", "--image_size=32
 def recording(tmp_path):
     """Agrees with the `demonstrations` in everything but the folder."""
     settings = EnvSettings("multitask_kitchen/task3_variant1", None, 32, "fastest")
-    return Recording("tests/demos", tmp_path / "demos", settings, episodes=4, seed=0, workers=1, video=True)
+    return Recording("tests/demos", tmp_path / "demos", (settings,), episodes=4, seed=0, workers=1, video=True)
 
 
 def kill_in_the_middle(root: Path) -> Path:
@@ -47,7 +49,10 @@ def kill_in_the_middle(root: Path) -> Path:
     process = subprocess.Popen(
         [sys.executable, "-c", COLLECT, *arguments], cwd=CHECKOUT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
-    wait_for(lambda: (staging / "000000.json").exists() or process.poll() is not None, seconds=120)
+    wait_for(
+        lambda: (staging / "multitask_kitchen.task3_variant1.000000.json").exists() or process.poll() is not None,
+        seconds=120,
+    )
     children = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
     process.send_signal(signal.SIGKILL)
     process.wait()
@@ -81,13 +86,13 @@ def test_workers_and_a_kill_do_not_change_the_dataset(demonstrations, recording,
     # As if the kill had come while the dataset was written.
     (staging / "dataset" / "meta").mkdir(parents=True)
     (staging / "dataset" / "meta" / "half.json").write_text("{")
-    attempts = {path.name: path.stat().st_mtime_ns for path in staging.glob("0*.npz")}
+    attempts = {path.name: path.stat().st_mtime_ns for path in staging.glob("*.npz")}
 
     with pytest.raises(DatasetError, match="interrupted recording with other settings"):
         record(replace(recording, seed=1))
     with pytest.raises(DatasetError, match="interrupted recording with other settings"):
-        record(replace(recording, settings=replace(recording.settings, render_profile="fast")))
-    assert {path.name: path.stat().st_mtime_ns for path in staging.glob("0*.npz")} == attempts
+        record(replace(recording, settings=(replace(recording.settings[0], render_profile="fast"),)))
+    assert {path.name: path.stat().st_mtime_ns for path in staging.glob("*.npz")} == attempts != {}
 
     summary = record(recording)
     assert (summary.episodes, summary.attempts, summary.failures) == (4, 4, {})
@@ -121,19 +126,54 @@ def test_the_record_tells_where_the_demonstrations_come_from(demonstrations):
     collected = read_json(demonstrations / COLLECTION_FILE)
     assert collected.pop("versions").keys() == {"lerobot_policy_buds", "lerobot", "robosuite", "mujoco"}
     assert collected == {
-        "version": 1,
+        "version": 2,
         "demonstrator": "scripted",
-        "task": "multitask_kitchen/task3_variant1",
+        "tasks": [
+            {
+                "name": "multitask_kitchen/task3_variant1",
+                "description": TASKS["multitask_kitchen/task3_variant1"].description,
+                "episode_seeds": [0, 1, 2, 3],
+                "failed_attempts": [],
+            }
+        ],
         "stages": ["close_drawer", "push_pot"],
         "render_profile": "fastest",
         "image_size": 32,
-        "episode_seeds": [0, 1, 2, 3],
-        "failed_attempts": [],
     }
 
 
+def test_the_card_tells_what_is_in_the_dataset(demonstrations):
+    card = DatasetCard.load(demonstrations / "README.md")
+    assert card.data.task_categories == ["robotics"] and "LeRobot" in card.data.tags
+    table = read_table(demonstrations, [])
+    lengths = table.ends - table.starts
+    assert f"4 episodes, {lengths.sum()} frames at 20 Hz" in card.text
+    assert f"| 4 | 0 | {lengths.mean():.0f} ({lengths.min()} to {lengths.max()}) | 0 to 3 |" in card.text
+    (picture,) = re.findall(r"!\[.*\]\((.*)\)", card.text)
+    assert (demonstrations / picture).is_file()
+
+
+def test_several_tasks_go_into_one_dataset_with_one_count_of_stages(recording):
+    settings = tuple(
+        EnvSettings(f"multitask_kitchen/{name}", None, 32, "fastest") for name in ("task3_variant1", "task1_variant3")
+    )
+    summary = record(replace(recording, settings=settings, episodes=1, workers=2))
+    assert (summary.episodes, summary.attempts) == (2, 2)
+    stages = read_json(recording.root / COLLECTION_FILE)["stages"]
+    assert stages == ["close_drawer", "push_pot", "turn_on", "cube_in_pot", "pot_on_stove"]
+    table = read_table(recording.root, [TRUE_STAGE, "task_index"])
+    seen = [
+        {stages[number] for number in table.columns[TRUE_STAGE][start:end]}
+        for start, end in zip(table.starts, table.ends, strict=True)
+    ]
+    assert seen == [{"close_drawer", "push_pot"}, {"turn_on", "cube_in_pot", "pot_on_stove"}]
+    assert [table.columns["task_index"][start] for start in table.starts] == [0, 1]
+
+
 def test_images_are_stored_as_they_are_drawn(recording, tmp_path):
-    summary = record(replace(recording, episodes=1, video=False, settings=replace(recording.settings, image_size=16)))
+    summary = record(
+        replace(recording, episodes=1, video=False, settings=(replace(recording.settings[0], image_size=16),))
+    )
     assert summary.episodes == 1 and summary.frames > 60
     frames = cached_frames(recording.root, WORKSPACE_CAMERA, tmp_path / "cache")
     assert frames.shape == (summary.frames, 3, 16, 16) and frames.std() > 15
@@ -153,7 +193,10 @@ def test_images_are_stored_as_they_are_drawn(recording, tmp_path):
         ({"seed": -1}, "seed=-1 cannot work"),
         ({"episodes": 0}, "episodes=0 cannot work"),
         ({"workers": -1}, "workers=-1 cannot work"),
-        ({"settings": EnvSettings("multitask_kitchen", None, 16)}, "image_size=16 cannot work; it must be at least 32"),
+        (
+            {"settings": (EnvSettings("multitask_kitchen/task3_variant1", None, 16),)},
+            "image_size=16 cannot work; it must be at least 32",
+        ),
     ],
 )
 def test_what_cannot_work_is_refused_before_anything_is_written(recording, tmp_path, change, said):

@@ -23,7 +23,7 @@ STARTS = {
     "task2_variant1": {"drawer_closed", "stove_off"},
     "task2_variant2": {"drawer_closed", "stove_on"},
     "task2_variant3": {"stove_on"},
-    "task3_variant1": {"stove_off", "cube_in_pot"},
+    "task3_variant1": {"stove_off", "cube_in_pot", "cube_touches_pot"},
     "task3_variant2": {"drawer_closed", "stove_off"},
     "task3_variant3": {"stove_off"},
 }

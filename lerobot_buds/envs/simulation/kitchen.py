@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .furniture import button, cube, pot, serving_region, stove
-from .kitchen_facts import STOVE_OFF, cube_in_pot, pot_in_region, stove_on
+from .kitchen_facts import STOVE_OFF, cube_in_pot, cube_touches_pot, pot_in_region, stove_on
 from .primitives import Primitive
 from .state import SimulationState
 
@@ -60,5 +60,6 @@ class Kitchen:
             "stove_on": stove_on(state),
             "stove_off": not stove_on(state),
             "cube_in_pot": cube_in_pot(state),
+            "cube_touches_pot": cube_touches_pot(state),
             "pot_in_region": pot_in_region(state, SERVING_REGION),
         }

@@ -23,6 +23,11 @@ def cube_in_pot(state: SimulationState) -> bool:
     return bool(state.touching("cube", "pot") and np.hypot(*away[:2]) < 0.06 and away[2] < 0.05)
 
 
+def cube_touches_pot(state: SimulationState) -> bool:
+    """Tells whether the cube touches the pot anywhere, which is "in the pot" to the zoo's kitchens."""
+    return state.touching("cube", "pot")
+
+
 def pot_in_region(state: SimulationState, region: Vector) -> bool:
     """Tells whether the pot stands in the serving region.
 

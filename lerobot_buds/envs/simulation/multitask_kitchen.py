@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .furniture import button, cabinet, cube, pot, serving_region, stove
-from .kitchen_facts import STOVE_OFF, cube_in_pot, pot_in_region, stove_on
+from .kitchen_facts import STOVE_OFF, cube_in_pot, cube_touches_pot, pot_in_region, stove_on
 from .primitives import Primitive
 from .state import SimulationState
 
@@ -74,6 +74,7 @@ class MultitaskKitchen:
             "stove_on": stove_on(state),
             "stove_off": not stove_on(state),
             "cube_in_pot": cube_in_pot(state),
+            "cube_touches_pot": cube_touches_pot(state),
             # The zoo's box: its middle lies 2 cm off the stove's.
             "pot_on_stove": bool(
                 abs(pot_at[0] - 0.05) < 0.08 and abs(pot_at[1] - 0.20) < 0.08 and 0.90 < pot_at[2] < 0.925

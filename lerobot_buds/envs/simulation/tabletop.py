@@ -12,24 +12,18 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from robosuite.controllers import load_composite_controller_config, load_part_controller_config
 from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
 from robosuite.models.arenas import TableArena
 from robosuite.models.tasks import ManipulationTask
 
+from .control import CONTROL_FREQUENCY, hold_hand_down, osc_position_config
 from .primitives import Primitive
 from .state import SimulationState
-
-CONTROL_FREQUENCY = 20
-"""Control steps per second."""
 
 TABLE_OFFSET = (-0.2, 0.0, 0.90)
 TABLE_FRICTION = (0.6, 0.005, 0.0001)
 JOINT_NOISE = 0.02
 """Standard deviation of the arm's start position (rad per joint); robosuite's default noise."""
-
-# Columns are the grip site's axes in the world: straight down, fingers opening along y (robosuite 1.3's orientation).
-HAND_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 _AGENTVIEW_POS = (0.5386131746834771, 0.0, 1.4903500240372423)
 _AGENTVIEW_QUAT = (0.6380177736282349, 0.3048497438430786, 0.30484986305236816, 0.6380177736282349)
@@ -87,7 +81,7 @@ class TabletopEnv(ManipulationEnv):  # type: ignore[misc]  # robosuite ships no 
             robots="Panda",
             base_types="default",
             gripper_types="default",
-            controller_configs=_osc_position_config(),
+            controller_configs=osc_position_config(),
             initialization_noise=None,
             use_camera_obs=False,
             has_renderer=False,
@@ -120,6 +114,7 @@ class TabletopEnv(ManipulationEnv):  # type: ignore[misc]  # robosuite ships no 
         if self.scene.latches:
             facts = self.scene.facts(self.state)
             self._latched |= {name for name, fact in self.scene.latches.items() if facts[fact]}
+        self.scene.update(self.state)
         return super()._post_action(action)
 
     def _check_success(self) -> bool:
@@ -152,16 +147,8 @@ class TabletopEnv(ManipulationEnv):  # type: ignore[misc]  # robosuite ships no 
         robot.init_qpos = robot.robot_model.init_qpos + self._rng.normal(0.0, JOINT_NOISE, 7)
         super()._reset_internal()
         # Controllers are rebuilt at every reset, so the hold is applied anew each time.
-        arm = robot.composite_controller.part_controllers["right"]
-        arm.compute_goal_ori = lambda *_args, **_kwargs: HAND_DOWN
+        hold_hand_down(robot)
         self._latched.clear()
         state = SimulationState(self.sim)
         self.scene.place(state, self._rng)
         self.scene.update(state)
-
-
-def _osc_position_config() -> dict[str, Any]:
-    config: dict[str, Any] = load_composite_controller_config(robot="Panda")
-    arm = load_part_controller_config(default_controller="OSC_POSITION")
-    config["body_parts"] = {"right": arm | {"gripper": {"type": "GRIP"}}}
-    return config
