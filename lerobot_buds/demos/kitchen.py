@@ -58,7 +58,8 @@ def pot_off_stove(hand: Demonstrator) -> Iterator[Action]:
 def push_pot(hand: Demonstrator) -> Iterator[Action]:
     """Goes behind the pot and pushes it away from the robot into the serving region with the closed hand."""
     state = hand.state
-    offset = hand.jitter(0.008) * (1.0, 1.0, 0.5)
+    # Left of the pot's middle: further right, the palm would come down on the handle of a cabinet's drawer.
+    offset = hand.rng.uniform((-0.008, 0.004, -0.004), (0.008, 0.020, 0.004))
     stop = state.position("serving_region_main")[0] - hand.rng.uniform(0.0, 0.03)
 
     def behind_pot() -> Vec:
