@@ -89,20 +89,25 @@ def training(skills, folder):
     return folder / "train", keys
 
 
-@pytest.fixture(scope="module")
-def evaluation(training, folder) -> Path:
-    """The evaluation's folder: two environments in two workers, 25 control steps."""
-    run_folder, _ = training
+def evaluate(run_folder: Path, output: Path, envs: int, in_workers: bool, steps: int) -> Path:
+    """Runs LeRobot's evaluation of as many episodes as environments; returns its folder."""
     run(
         lerobot_eval.main,
         "lerobot-eval",
         f"--policy.path={run_folder / 'checkpoints/last/pretrained_model'}",
         "--policy.device=cpu",
-        *("--env.type=robosuite", "--env.image_size=32", "--env.render_profile=fastest", "--env.episode_length=25"),
-        *("--eval.n_episodes=2", "--eval.batch_size=2", "--eval.use_async_envs=true", "--seed=50000"),
-        f"--output_dir={folder / 'eval'}",
+        *("--env.type=robosuite", "--env.image_size=32", "--env.render_profile=fastest"),
+        *(f"--env.episode_length={steps}", f"--eval.n_episodes={envs}", f"--eval.batch_size={envs}"),
+        *(f"--eval.use_async_envs={in_workers}", "--seed=50000", f"--output_dir={output}"),
     )
-    return folder / "eval"
+    return output
+
+
+@pytest.fixture(scope="module")
+def evaluation(training, folder) -> Path:
+    """The evaluation's folder: two environments in two workers, 25 control steps."""
+    run_folder, _ = training
+    return evaluate(run_folder, folder / "eval", envs=2, in_workers=True, steps=25)
 
 
 def test_skills_are_written_beside_the_demonstrations(demonstrations, skills, folder):
@@ -135,3 +140,11 @@ def test_evaluation_runs_the_checkpoint_in_several_environments(evaluation):
     assert len(task["metrics"]["successes"]) == info["overall"]["n_episodes"] == 2
     assert info["overall"]["pc_success"] in (0.0, 50.0, 100.0)
     assert list(evaluation.rglob("*.mp4"))
+
+
+@pytest.mark.parametrize(("envs", "in_workers"), [(1, False), (1, True), (2, False), (4, False), (4, True)])
+def test_any_number_of_environments_can_be_evaluated_at_once(training, tmp_path, envs, in_workers):
+    run_folder, _ = training
+    info = read_json(evaluate(run_folder, tmp_path / "eval", envs, in_workers, steps=3) / "eval_info.json")
+    assert info["overall"]["n_episodes"] == envs
+    assert info["per_task"][0]["metrics"]["successes"] == [False] * envs  # three steps suffice for nothing
