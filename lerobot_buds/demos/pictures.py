@@ -1,5 +1,6 @@
 """Pictures of demonstrations, for looking before learning."""
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +14,15 @@ from .tables import DatasetFiles, read_table
 
 
 def draw_contact_sheet(
-    root: Path, path: Path, stages: tuple[str, ...] = (), columns: int = 6, cache_dir: Path | None = None
+    root: Path, path: Path, stages: tuple[str, ...] = (), columns: int = 4, cache_dir: Path | None = None
 ) -> None:
-    """Draws every camera over the course of one demonstration, one row a camera and, where they are known, a stage.
-
-    The demonstration shown is the one of median length.
+    """Draws the course of one demonstration, the one of median length: one row a stage, all cameras side by side.
 
     Args:
         root: Folder of a LeRobotDataset, whole on this machine.
         path: PNG file to write, atomically.
         stages: Names of the true stages; without them, the demonstration is shown as one.
-        columns: Frames a row.
+        columns: Frames of each camera in a row.
         cache_dir: Folder of the decoded frames; LeRobot's home where None.
 
     Raises:
@@ -41,7 +40,7 @@ def draw_contact_sheet(
     _draw(path, images, stage_of, stages, columns)
 
 
-def draw_attempt(attempt: Attempt, stages: tuple[str, ...], path: Path, columns: int = 6) -> None:
+def draw_attempt(attempt: Attempt, stages: tuple[str, ...], path: Path, columns: int = 4) -> None:
     """Draws one attempt like `draw_contact_sheet`.
 
     Raises:
@@ -66,18 +65,18 @@ def _draw(
     from matplotlib.figure import Figure
 
     numbers = list(dict.fromkeys(stage_of.tolist()))  # in the order in which the stages were done
-    rows = [(number, camera) for number in numbers for camera in images]
-    figure = Figure(figsize=(1.5 * columns + 1.2, 1.65 * len(rows)), dpi=110, layout="constrained")
+    width = columns * len(images)
+    figure = Figure(figsize=(1.5 * width + 1.2, 1.65 * len(numbers) + 0.3), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(len(rows), columns, squeeze=False)
-    for axes_row, (number, camera) in zip(grid, rows, strict=True):
+    grid = figure.subplots(len(numbers), width, squeeze=False)
+    for axes_row, number in zip(grid, numbers, strict=True):
         frames = np.flatnonzero(stage_of == number)
-        shown = frames[np.linspace(0, len(frames) - 1, columns).round().astype(int)]
-        for axes, frame in zip(axes_row, shown.tolist(), strict=True):
+        shown = frames[np.linspace(0, len(frames) - 1, columns).round().astype(int)].tolist()
+        for axes, (camera, frame) in zip(axes_row, product(images, shown), strict=True):
             axes.imshow(images[camera][frame])
-            axes.set_title(f"frame {frame}", fontsize="x-small")
+            axes.set_title(f"{camera}, {frame}", fontsize="x-small")
             axes.set_xticks([])
             axes.set_yticks([])
-        name = f"{stages[number]}\n{camera}" if stages else camera
+        name = stages[number] if stages else "demonstration"
         axes_row[0].set_ylabel(name, rotation=0, ha="right", va="center", fontsize="small")
     write_atomically(path, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))

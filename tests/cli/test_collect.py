@@ -50,8 +50,8 @@ def test_a_preview_is_one_sheet_a_task_and_records_nothing(monkeypatch, tmp_path
     collect.main()
     sheets = [tmp_path / "sheets" / f"{task.replace('/', '.')}.png" for task in tasks]
     assert capsys.readouterr().out.split() == [str(sheet) for sheet in sheets]
-    # Two stages of two cameras each, six frames a row.
-    assert all(imread(sheet).shape[:2] == (726, 1122) and imread(sheet).std() > 0.1 for sheet in sheets)
+    # A row a stage, four frames of each of the two cameras in it.
+    assert all(imread(sheet).shape[:2] == (396, 1452) and imread(sheet).std() > 0.1 for sheet in sheets)
     assert [path.name for path in tmp_path.iterdir()] == ["sheets"]
 
 
