@@ -17,8 +17,8 @@ from .running import dataset_root, parse, run
 class CollectConfig:
     """Settings of a recording."""
 
-    repo_id: str = "local/demonstrations"
-    """The dataset's name, for example ``me/close_and_serve``."""
+    repo_id: str = ""
+    """The dataset's name, for example ``me/close_and_serve``; only a preview needs none."""
 
     task: str = "multitask_kitchen/task3_variant1"
     """Task names, comma-separated; a suite's name selects all of its tasks. All go into one dataset."""
@@ -56,6 +56,8 @@ def collect(config: CollectConfig) -> Summary:
         DatasetError: The dataset exists, or another process is recording it.
         BudsError: The demonstrator fails most of its attempts, or a worker process died.
     """
+    if not config.repo_id:
+        raise ConfigError("The dataset has no name; give it one, for example --repo_id=me/close_and_serve.")
     return record(
         Recording(
             repo_id=config.repo_id,

@@ -30,6 +30,7 @@ def test_arguments_become_settings():
         (["--episodes=many"], "Couldn't parse 'many' into an int"),
         (["--seed=100000"], "Seeds from 100000 on are for evaluation"),
         (["--image_size=16"], "image_size=16 cannot work"),
+        (["--repo_id="], "The dataset has no name"),
         (["--task=tool_use/full,Lift"], "no demonstrator for robosuite's own tasks: Lift"),
     ],
 )
