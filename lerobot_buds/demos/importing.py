@@ -32,7 +32,7 @@ from .hdf5 import Demonstrations, open_demonstrations
 from .hdf5_layouts import Source
 from .recording import RECORD_VERSION
 from .tables import DatasetFiles
-from .writing import camera_feature, create_dataset, vector_feature, write_episode
+from .writing import camera_feature, create_dataset, sort_stats, vector_feature, write_episode
 
 
 @dataclass(frozen=True)
@@ -145,6 +145,7 @@ def _merge(
     parts = [staging / name for name in names]
     # Appended image rows would be encoded anew, all that are there for each episode: as many files as episodes instead.
     aggregate_datasets([plan.repo_id] * len(parts), plan.repo_id, parts, merged, concatenate_data=plan.video)
+    sort_stats(merged)
     written = [int(episode["length"]) for episode in DatasetFiles(merged).episodes]
     if written != lengths:
         raise DatasetError(f"{merged}: the episodes have {written} frames, the source {lengths}. This is a bug.")

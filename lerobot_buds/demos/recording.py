@@ -46,7 +46,7 @@ from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettin
 from .attempts import Attempt, attempt_in_worker
 from .card import write_card
 from .pictures import draw_contact_sheet
-from .writing import camera_feature, create_dataset, vector_feature, write_episode
+from .writing import camera_feature, create_dataset, sort_stats, vector_feature, write_episode
 
 logger = logging.getLogger(__name__)
 
@@ -248,6 +248,7 @@ def _write_dataset(staging: Path, recording: Recording, attempts: list[list[Atte
         for task, seed in tqdm(episodes, "writing the dataset", unit="episode", dynamic_ncols=True)
     ]
     dataset.finalize()
+    sort_stats(folder)
     record = _collection_record(recording, attempts)
     write_json(folder / COLLECTION_FILE, record)
     draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, recording.stages)

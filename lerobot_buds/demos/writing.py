@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from lerobot_buds.core import read_json, write_json
+
 if TYPE_CHECKING:
     from lerobot.datasets import LeRobotDataset
 
@@ -54,6 +56,12 @@ def create_dataset(
         encoder_queue_maxsize=_LONGEST,  # a full queue would silently drop frames: longer than any episode
         image_writer_threads=0 if video else 4,
     )
+
+
+def sort_stats(folder: Path) -> None:
+    """Writes a finished dataset's statistics in a fixed order; LeRobot's is that of a set, another in every process."""
+    path = folder / "meta" / "stats.json"
+    write_json(path, read_json(path))
 
 
 def write_episode(dataset: "LeRobotDataset", columns: Mapping[str, NDArray[Any]], task: str) -> int:

@@ -106,6 +106,12 @@ def test_workers_and_a_kill_do_not_change_the_dataset(demonstrations, recording,
     assert files(root) == files(demonstrations)
 
 
+def test_nothing_depends_on_the_order_of_a_set(demonstrations):
+    """LeRobot writes statistics in such an order, which differs from process to process."""
+    stats = read_json(demonstrations / "meta/stats.json")
+    assert list(stats) == sorted(stats) and list(stats[STATE]) == sorted(stats[STATE])
+
+
 def test_the_dataset_is_what_was_agreed(demonstrations):
     dataset = DatasetFiles(demonstrations)
     assert dataset.fps == 20
