@@ -60,7 +60,7 @@ def segment(config: SegmentConfig) -> SegmentationRecord:
     """
     if not config.subgoal_horizon_s > 0:
         raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
-    root = _local_root(config.repo_id, config.root)
+    root = local_root(config.repo_id, config.root)
     output_repo_id = config.output_repo_id or f"{config.repo_id}_skills"
     work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
     files = DatasetFiles(root)
@@ -71,7 +71,7 @@ def segment(config: SegmentConfig) -> SegmentationRecord:
     latents = encode_dataset(root, representation)
     fps = int(files.info["fps"])
     labels = config.discovery.build(fps).fit(latents).labels_
-    stages = _true_stages(root) if TRUE_STAGE in files.features else None
+    stages = true_stages(root) if TRUE_STAGE in files.features else None
     scores = agreement(labels, stages, fps) if stages else None
     record = SegmentationRecord.of_labels(
         labels,
@@ -100,7 +100,8 @@ def main() -> None:
         print("  agreement with the true stages: " + _in_words(Agreement(**record.agreement)))
 
 
-def _local_root(repo_id: str, root: str | None) -> Path:
+def local_root(repo_id: str, root: str | None) -> Path:
+    """Tells where a dataset lies on this machine, after downloading it where it is missing and has no folder given."""
     place = dataset_root(repo_id, root)
     if not (place / "meta" / "info.json").exists() and root is None:
         from lerobot.datasets import LeRobotDataset
@@ -109,7 +110,8 @@ def _local_root(repo_id: str, root: str | None) -> Path:
     return place
 
 
-def _true_stages(root: Path) -> list[IntArray]:
+def true_stages(root: Path) -> list[IntArray]:
+    """Reads the true stage of every frame, ``(T,)`` per demonstration."""
     table = read_table(root, [TRUE_STAGE])
     column = table.columns[TRUE_STAGE]
     return [column[start:end] for start, end in zip(table.starts, table.ends, strict=True)]

@@ -1,30 +1,35 @@
-"""Agreement of a segmentation with known stages, by its boundaries and by the labels of its frames."""
+"""Agreement of a segmentation with known stages, and of the segmentations of demonstrations with one another."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from sklearn.metrics import normalized_mutual_info_score
+from sklearn.metrics import adjusted_rand_score, normalized_mutual_info_score
 
 from lerobot_buds.core import DatasetError, IntArray, segments_of
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Scores of predicted against true labels, pooled over all demonstrations; each in ``[0, 1]``, 1 is best.
+    """Scores of predicted against true labels, pooled over all demonstrations; 1 is best, 0 is none.
 
     Attributes:
         boundary_precision: Share of predicted boundaries that are matched.
         boundary_recall: Share of true boundaries that are matched.
         boundary_f1: Harmonic mean of both.
+        segment_f1: The same of whole segments; a pair is matched that shares more than half of its union in time.
         nmi: Normalised mutual information (arithmetic mean) of the labels of all frames.
+        ari: Adjusted Rand index of the labels of all frames; below 0 for less agreement than chance.
         tolerance_s: Largest distance of a matched pair of boundaries (seconds).
     """
 
     boundary_precision: float
     boundary_recall: float
     boundary_f1: float
+    segment_f1: float
     nmi: float
+    ari: float
     tolerance_s: float
 
 
@@ -76,14 +81,58 @@ def agreement(
     matched = sum(matched_boundaries(p, t, tolerance) for p, t in pairs)
     n_predicted, n_true = sum(len(p) for p, _ in pairs), sum(len(t) for _, t in pairs)
     nothing = float(n_predicted == n_true == 0)
-    nmi = float(normalized_mutual_info_score(np.concatenate(true), np.concatenate(predicted)))
+    all_true, all_predicted = np.concatenate(true), np.concatenate(predicted)
+    nmi = float(normalized_mutual_info_score(all_true, all_predicted))
+    overlapping = sum(_overlapping(p, t) for p, t in zip(predicted, true, strict=True))
+    segments = sum(len(segments_of(episode)) for episode in (*predicted, *true))
     return Agreement(
         boundary_precision=matched / n_predicted if n_predicted else nothing,
         boundary_recall=matched / n_true if n_true else nothing,
         boundary_f1=2 * matched / (n_predicted + n_true) if n_predicted + n_true else nothing,
+        segment_f1=2 * overlapping / segments,
         nmi=min(max(nmi, 0.0), 1.0),
+        ari=float(adjusted_rand_score(all_true, all_predicted)),
         tolerance_s=tolerance_s,
     )
+
+
+def label_distance(labels: Sequence[IntArray]) -> float:
+    """Measures how differently demonstrations are labelled (release, with Levenshtein's distance made right).
+
+    Args:
+        labels: ``(T,)`` labels of every demonstration.
+
+    Returns:
+        Edit distance between the sequences of two demonstrations' segment labels over the length of the longer one, the
+        mean over all pairs; in [0, 1], 0 where all agree.
+    """
+    counts = Counter(tuple(segment.label for segment in segments_of(episode)) for episode in labels)
+    words = list(counts.items())
+    total, pairs = 0.0, len(labels) * (len(labels) - 1) / 2
+    for i, (first, n) in enumerate(words):
+        for second, m in words[i + 1 :]:
+            total += n * m * _edits(first, second) / max(len(first), len(second))
+    return total / pairs if pairs else 0.0
+
+
+def _edits(first: tuple[int, ...], second: tuple[int, ...]) -> int:
+    row = list(range(len(second) + 1))
+    for i, a in enumerate(first, 1):
+        above, row[0] = row[0], i
+        for j, b in enumerate(second, 1):
+            above, row[j] = row[j], min(row[j] + 1, row[j - 1] + 1, above + (a != b))
+    return row[-1]
+
+
+def _overlapping(predicted: IntArray, true: IntArray) -> int:
+    """Counts the pairs of segments that share more than half of their union; no segment is in two of them."""
+    mine, theirs = segments_of(predicted), segments_of(true)
+    count = 0
+    for p in mine:
+        for t in theirs:
+            shared = min(p.end, t.end) - max(p.start, t.start)
+            count += 2 * shared > p.length + t.length - shared
+    return count
 
 
 def _boundaries(labels: IntArray) -> IntArray:

@@ -3,7 +3,7 @@
 Importing this folder loads neither torch, LeRobot nor matplotlib; the functions that need them do.
 """
 
-from .discovery import DiscoveryConfig, SkillDiscovery
+from .discovery import PRESETS, DiscoveryConfig, SkillDiscovery, preset
 from .record import SegmentationRecord, SourceDescription, check_labels, load_labels
 from .temporal import temporal_segments
 from .timeline import draw_timeline
@@ -11,6 +11,7 @@ from .tree import TaskStructure, build_tree
 from .write import write_segmented_dataset
 
 __all__ = [
+    "PRESETS",
     "DiscoveryConfig",
     "SegmentationRecord",
     "SkillDiscovery",
@@ -20,6 +21,7 @@ __all__ = [
     "check_labels",
     "draw_timeline",
     "load_labels",
+    "preset",
     "temporal_segments",
     "write_segmented_dataset",
 ]

@@ -39,13 +39,14 @@ def auto_gamma(features: FloatArray) -> float:
     return 2.0 / float(np.median(squared[squared > 0]))
 
 
-def cluster(features: FloatArray, n_clusters: int, random_state: int) -> IntArray:
+def cluster(features: FloatArray, n_clusters: int, random_state: int, gamma: float | None = None) -> IntArray:
     """Clusters segments by spectral clustering with a normalised cut, seeded.
 
     Args:
         features: ``(N, F)`` keyframe features, N at least 1.
         n_clusters: Clusters asked for, at least 1.
         random_state: Seed.
+        gamma: Width of the kernel ``exp(-gamma ||x - y||^2)``; None for `auto_gamma`.
 
     Returns:
         ``(N,)`` int64 labels ``0 .. k-1``, all present. k is `n_clusters` unless there are fewer distinct segments or
@@ -63,16 +64,16 @@ def cluster(features: FloatArray, n_clusters: int, random_state: int) -> IntArra
     # the latents changes, so neither changes the clusters.
     order = np.argsort(np.square(features - features.mean(axis=0)).sum(axis=1), kind="stable")
     labels = np.empty(len(features), dtype=np.int64)
-    labels[order] = _spectral(features[order], n_clusters, random_state)
+    labels[order] = _spectral(features[order], n_clusters, random_state, gamma)
     return labels
 
 
-def _spectral(features: FloatArray, n_clusters: int, random_state: int) -> IntArray:
+def _spectral(features: FloatArray, n_clusters: int, random_state: int, gamma: float | None) -> IntArray:
     if len(features) > MAX_DENSE_SEGMENTS:
         graph = kneighbors_graph(features, GRAPH_NEIGHBORS, include_self=True)
         affinity = 0.5 * (graph + graph.T)
     else:
-        affinity = rbf_kernel(features, gamma=auto_gamma(features))
+        affinity = rbf_kernel(features, gamma=gamma or auto_gamma(features))
     best: IntArray | None = None
     # "discretize" is the released choice; it may leave a cluster empty or fail on a nearly diagonal affinity.
     for assignment in ("discretize", "cluster_qr", "kmeans"):

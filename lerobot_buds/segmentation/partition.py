@@ -41,6 +41,7 @@ def partition_segments(
     num_keyframes: int,
     passes: int,
     random_state: int,
+    gamma: float | None = None,
 ) -> list[IntArray]:
     """Labels every frame with the cluster of its segment, over all demonstrations.
 
@@ -51,13 +52,14 @@ def partition_segments(
         num_keyframes: Keyframes per segment.
         passes: Times to cluster. Each further pass starts from the runs of equal labels of the last (released code: 2).
         random_state: Seed.
+        gamma: Width of the clustering's kernel; None for a width taken from the segments.
 
     Returns:
         ``(T,)`` labels of every demonstration; values ``0 .. k-1``, all present.
     """
     for _ in range(passes):
         features = [keyframe_features(h, b, num_keyframes) for h, b in zip(latents, bounds, strict=True)]
-        clusters = cluster(np.concatenate(features), n_clusters, random_state)
+        clusters = cluster(np.concatenate(features), n_clusters, random_state, gamma)
         per_episode = np.split(clusters, np.cumsum([len(b) for b in bounds])[:-1])
         labels = [np.repeat(c, b[:, 1] - b[:, 0]) for c, b in zip(per_episode, bounds, strict=True)]
         bounds = [_bounds(segments_of(episode)) for episode in labels]

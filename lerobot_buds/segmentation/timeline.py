@@ -47,14 +47,24 @@ def draw_timeline(
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     split = 0.42 if true_stages is None else 0.22  # where the bars of skills end, below the centre of their row
-    _draw_rows(axes, labels, fps, "skills", bottom=-0.42, top=split)
+    draw_rows(axes, labels, fps, "skills", bottom=-0.42, top=split)
     if true_stages is not None:
-        _draw_rows(axes, true_stages, fps, "stages", bottom=split + 0.04, top=0.42)
+        draw_rows(axes, true_stages, fps, "stages", bottom=split + 0.04, top=0.42)
     _finish(figure, axes, labels, true_stages, title)
     write_atomically(path, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))
 
 
-def _draw_rows(axes: "Axes", episodes: Sequence[IntArray], fps: float, kind: str, bottom: float, top: float) -> None:
+def draw_rows(axes: "Axes", episodes: Sequence[IntArray], fps: float, kind: str, bottom: float, top: float) -> None:
+    """Draws the runs of demonstrations as bars, one row each.
+
+    Args:
+        axes: Where to draw, time in seconds along x.
+        episodes: ``(T,)`` labels of every demonstration.
+        fps: Frame rate (frames per second).
+        kind: ``skills`` (hues) or ``stages`` (greys).
+        bottom: Lower edge of the bars, relative to the row's number.
+        top: Upper edge of them.
+    """
     colors = _colors(episodes, kind)
     for row, episode in enumerate(episodes):
         runs = segments_of(episode)

@@ -4,7 +4,9 @@ Invariants: the bottom elements tile ``[0, T)``; every other node spans exactly 
 the last node is the root and spans ``[0, T)``.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -77,22 +79,47 @@ class SegmentMeans:
         return means
 
 
-def adjacent_distances(latents: FloatArray, window: int) -> FloatArray:
-    """Measures the Euclidean distances between the mean latents of adjacent bottom elements.
+def three_frames(latents: FloatArray) -> Callable[[IntArray], FloatArray]:
+    """Makes the released code's feature: the mean latent of a span's first, middle and last frame.
+
+    The last one is the first frame after the span, which neighbours share in the release; at the end, the last frame.
+    """
+
+    def feature(bounds: IntArray) -> FloatArray:
+        start, last = bounds[..., 0], np.minimum(bounds[..., 1], len(latents) - 1)
+        result: FloatArray = (latents[start] + latents[(start + last) // 2] + latents[last]) / 3
+        return result
+
+    return feature
+
+
+Feature = Literal["mean", "three_frames"]
+FEATURES: dict[Feature, Callable[[FloatArray], Callable[[IntArray], FloatArray]]] = {
+    "mean": SegmentMeans,
+    "three_frames": three_frames,
+}
+"""What describes a span in the tree: the paper's mean over all frames, or the released code's three."""
+
+
+def adjacent_distances(latents: FloatArray, window: int, feature: Feature = "mean") -> FloatArray:
+    """Measures the Euclidean distances between the features of adjacent bottom elements.
 
     Args:
         latents: ``(T, D)`` latents, T at least 1.
         window: Frames per bottom element.
+        feature: A key of `FEATURES`.
 
     Returns:
         ``(n - 1,)`` distances.
     """
-    means = SegmentMeans(latents)(window_bounds(len(latents), window))
+    means = FEATURES[feature](latents)(window_bounds(len(latents), window))
     distances: FloatArray = np.linalg.norm(np.diff(means, axis=0), axis=1)
     return distances
 
 
-def build_tree(latents: FloatArray, window: int, length_penalty: float = 0.0) -> TaskStructure:
+def build_tree(
+    latents: FloatArray, window: int, length_penalty: float = 0.0, feature: Feature = "mean"
+) -> TaskStructure:
     """Merges the most similar neighbours until one segment spans the demonstration (paper, hierarchical clustering).
 
     Each step merges the pair, first on ties, with the smallest
@@ -104,6 +131,7 @@ def build_tree(latents: FloatArray, window: int, length_penalty: float = 0.0) ->
         latents: ``(T, D)`` finite latents.
         window: Frames per bottom element.
         length_penalty: Penalty per frame of merged length, in the unit of the latents; 0 is the paper's rule.
+        feature: A key of `FEATURES`: what describes a segment.
 
     Raises:
         SegmentationError: There are no frames.
@@ -112,7 +140,7 @@ def build_tree(latents: FloatArray, window: int, length_penalty: float = 0.0) ->
         raise SegmentationError("A demonstration without frames has no task structure; remove the empty episode.")
     bottom = window_bounds(len(latents), window)
     count = len(bottom)
-    means = SegmentMeans(latents)
+    means = FEATURES[feature](latents)
     bounds = np.concatenate([bottom, np.empty((count - 1, 2), dtype=np.int64)])
     children = np.full((2 * count - 1, 2), -1, dtype=np.int64)
 

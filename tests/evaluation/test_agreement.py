@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_buds.core import DatasetError
-from lerobot_buds.evaluation import agreement, matched_boundaries
+from lerobot_buds.evaluation import agreement, label_distance, matched_boundaries
 
 boundaries = st.lists(st.integers(0, 30), max_size=5, unique=True).map(sorted)
 label_arrays = st.lists(st.integers(0, 4), min_size=1, max_size=40).map(lambda x: np.array(x, dtype=np.int64))
@@ -39,7 +39,7 @@ def test_names_of_labels_do_not_matter(
     predicted, true = [p for p, _ in episodes], [t for _, t in episodes]
     scores = agreement(predicted, true, 20, 0.1)
     renamed = agreement([np.array(mine)[p] for p in predicted], [np.array(theirs)[t] for t in true], 20, 0.1)
-    for name in ("boundary_precision", "boundary_recall", "boundary_f1", "nmi"):
+    for name in ("boundary_precision", "boundary_recall", "boundary_f1", "segment_f1", "nmi"):
         assert getattr(scores, name) == pytest.approx(getattr(renamed, name), abs=1e-12)
         assert 0 <= getattr(scores, name) <= 1
 
@@ -88,3 +88,34 @@ def test_other_lengths_are_refused() -> None:
         agreement([np.zeros(3, dtype=int)], [np.zeros(4, dtype=int)], 20)
     with pytest.raises(DatasetError, match="do not fit"):
         agreement([], [], 20)
+
+
+@given(st.lists(label_arrays, min_size=1, max_size=3))
+def test_segments_of_a_segmentation_match_themselves(labels: list[np.ndarray]) -> None:
+    scores = agreement(labels, labels, 20)
+    assert scores.segment_f1 == 1
+    assert scores.ari == pytest.approx(1)
+
+
+def test_segments_match_that_share_more_than_half_of_their_union() -> None:
+    true = np.repeat([0, 1], [10, 10])
+    assert agreement([np.repeat([0, 1], [13, 7])], [true], 20).segment_f1 == 1  # 10 / 13 and 7 / 10
+    assert agreement([np.repeat([0, 1], [15, 5])], [true], 20).segment_f1 == 0.5  # 10 / 15 and 5 / 10
+    assert agreement([np.repeat([0], [20])], [true], 20).segment_f1 == 0
+
+
+def levenshtein(a: tuple[int, ...], b: tuple[int, ...]) -> int:
+    if not a or not b:
+        return len(a) + len(b)
+    return min(levenshtein(a[1:], b) + 1, levenshtein(a, b[1:]) + 1, levenshtein(a[1:], b[1:]) + (a[0] != b[0]))
+
+
+@given(st.lists(st.lists(st.integers(0, 2), min_size=1, max_size=5), min_size=2, max_size=4))
+def test_label_distances_equal_brute_force(labels: list[list[int]]) -> None:
+    words = [tuple(label for i, label in enumerate(x) if i == 0 or x[i - 1] != label) for x in labels]
+    expected = [levenshtein(a, b) / max(len(a), len(b)) for a, b in combinations(words, 2)]
+    assert label_distance([np.array(x) for x in labels]) == pytest.approx(np.mean(expected))
+
+
+def test_a_single_demonstration_differs_from_none() -> None:
+    assert label_distance([np.array([0, 1, 1])]) == 0

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from sklearn.base import clone
 from sklearn.metrics import adjusted_rand_score, normalized_mutual_info_score
 
-from lerobot_buds.core import ConfigError, SegmentationError, labels_of
-from lerobot_buds.segmentation import DiscoveryConfig, SkillDiscovery
+from lerobot_buds.core import ConfigError, SegmentationError, labels_of, segments_of
+from lerobot_buds.segmentation import PRESETS, DiscoveryConfig, SkillDiscovery, preset
 
 
 def assert_partition(found: SkillDiscovery, latents: list[np.ndarray]) -> None:
@@ -155,3 +155,52 @@ def test_config_converts_seconds() -> None:
     at50 = replace(DiscoveryConfig(), seed=4).build(fps=50)
     assert (at50.window, at50.min_segment_length, at50.min_skill_length) == (25, 50, 75)
     assert at50.length_penalty == pytest.approx(0.08) and at50.random_state == 4
+
+
+def test_segments_from_elsewhere_take_the_trees_place(demonstrations: Callable[..., tuple]) -> None:
+    latents, truth = demonstrations()
+    bounds = [np.array([[s.start, s.end] for s in segments_of(stages)]) for stages in truth]
+    found = SkillDiscovery(n_skills=3).fit(latents, segments=bounds)
+    assert_partition(found, latents)
+    assert found.temporal_segments_[0].tolist() == bounds[0].tolist()
+    assert normalized_mutual_info_score(np.concatenate(truth), np.concatenate(found.labels_)) > 0.99
+
+
+@pytest.mark.parametrize(
+    "bounds", [[[0, 10]], [[0, 10], [11, 30]], [[5, 30]], [[0, 20], [10, 30]], [[0, 30], [30, 30]]]
+)
+def test_segments_that_do_not_tile_are_refused(bounds: list[list[int]]) -> None:
+    with pytest.raises(SegmentationError, match="demonstration 0 do not tile its 30 frames"):
+        SkillDiscovery().fit([np.zeros((30, 2))], segments=[np.array(bounds)])
+    with pytest.raises(SegmentationError, match="segments of 0 demonstrations, but latents of 1"):
+        SkillDiscovery().fit([np.zeros((30, 2))], segments=[])
+
+
+def test_presets_follow_the_paper_and_the_release(demonstrations: Callable[..., tuple]) -> None:
+    config = DiscoveryConfig(max_skills=4, num_keyframes=3)
+    paper, released = (preset(name, config).build(20) for name in ("paper", "released"))
+    assert (paper.feature, paper.length_penalty, paper.passes, paper.gamma) == ("mean", 0, 1, None)
+    assert (released.feature, released.passes) == ("three_frames", 2)
+    assert released.length_penalty == pytest.approx(1 / 5) and not released.relative_penalty
+    assert released.gamma == pytest.approx(0.0025) and released.max_skills == 4 and released.num_keyframes == 3
+    assert preset("default", config) == config
+    latents, _ = demonstrations(noise=1.0)
+    for name in PRESETS:
+        assert_partition(preset(name, config).build(20).fit(latents), latents)
+    with pytest.raises(ConfigError, match="Did you mean 'paper'"):
+        preset("papers", config)
+
+
+def test_the_releases_penalty_depends_on_the_scale(demonstrations: Callable[..., tuple]) -> None:
+    latents, _ = demonstrations(noise=1.0)
+    cuts = [
+        SkillDiscovery(relative_penalty=False).fit([scale * h for h in latents]).temporal_segments_
+        for scale in (0.01, 100)
+    ]
+    assert [b.tolist() for b in cuts[0]] != [b.tolist() for b in cuts[1]]
+
+
+@pytest.mark.parametrize(("name", "value"), [("feature", "median"), ("gamma", 0.0)])
+def test_bad_choices_are_refused(name: str, value: object) -> None:
+    with pytest.raises(ConfigError, match=str(value)):
+        SkillDiscovery(**{name: value}).fit([np.zeros((5, 2))])

@@ -10,12 +10,22 @@ from lerobot_buds.segmentation.temporal import temporal_segments
 from lerobot_buds.segmentation.tree import adjacent_distances, build_tree, window_bounds
 
 
-def naive_merges(latents: np.ndarray, window: int, penalty: float) -> list[tuple[int, int]]:
-    """The published loop: every mean and every distance from scratch before every merge."""
+def mean(latents: np.ndarray, start: int, end: int) -> np.ndarray:
+    return latents[start:end].mean(axis=0)
+
+
+def three_frames(latents: np.ndarray, start: int, end: int) -> np.ndarray:
+    """The released code's feature of the closed interval whose last frame is the next segment's first."""
+    last = min(end, len(latents) - 1)
+    return np.mean([latents[start], latents[(start + last) // 2], latents[last]], axis=0)
+
+
+def naive_merges(latents: np.ndarray, window: int, penalty: float, feature=mean) -> list[tuple[int, int]]:
+    """The published loop: every feature and every distance from scratch before every merge."""
     parts = [tuple(b) for b in window_bounds(len(latents), window).tolist()]
     merges = []
     while len(parts) > 1:
-        means = [latents[s:e].mean(axis=0) for s, e in parts]
+        means = [feature(latents, s, e) for s, e in parts]
         costs = [
             np.linalg.norm(means[i] - means[i + 1]) + penalty * (parts[i + 1][1] - parts[i][0]) / len(parts)
             for i in range(len(parts) - 1)
@@ -33,6 +43,8 @@ def test_tree_equals_the_naive_loop(total: int, penalty: float) -> None:
     tree = build_tree(latents, 10, penalty)
     bottom = len(window_bounds(total, 10))
     assert [tuple(b) for b in tree.bounds[bottom:].tolist()] == naive_merges(latents, 10, penalty)
+    released = build_tree(latents, 10, penalty, "three_frames")
+    assert [tuple(b) for b in released.bounds[bottom:].tolist()] == naive_merges(latents, 10, penalty, three_frames)
 
 
 @settings(max_examples=40, deadline=None)

@@ -1,0 +1,104 @@
+"""``lerobot-buds-compare``: compares segmentation methods on a dataset whose true stages are known."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from lerobot_buds.core import STATE, TRUE_STAGE, ConfigError, DatasetError, FloatArray, select_dims, write_json
+from lerobot_buds.demos import DatasetFiles, check_demonstrations, dimension_names, read_table
+from lerobot_buds.evaluation import (
+    METHODS,
+    Demonstrations,
+    Result,
+    compare,
+    comparison_rows,
+    comparison_table,
+    draw_comparison,
+)
+from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
+from lerobot_buds.segmentation import DiscoveryConfig
+
+from .running import parse, run
+from .segment import local_root, true_stages
+
+
+@dataclass
+class CompareConfig:
+    """Settings of a comparison."""
+
+    repo_id: str
+    """The dataset; it needs the column ``true_stage``, as scripted demonstrations have it."""
+
+    root: str | None = None
+    """Its folder; None for LeRobot's own place for `repo_id`."""
+
+    work_dir: str | None = None
+    """Keeps the representations and the results; None for ``outputs/compare/`` and the dataset's name."""
+
+    seeds: int = 3
+    """Number of seeds, from 0: each trains its own representation and clusters with it."""
+
+    methods: list[str] = field(default_factory=lambda: list(METHODS))
+    """Methods to compare; all by default."""
+
+    position: list[str] = field(default_factory=lambda: ["eef*"])
+    """Shell-style patterns of the ``observation.state`` names that are the hand's position."""
+
+    gripper: list[str] = field(default_factory=lambda: ["gripper*"])
+    """The same of the gripper's fingers, whose mean size is its opening."""
+
+    representation: RepresentationConfig = field(default_factory=RepresentationConfig)
+    """Settings of the representation, but for its seed."""
+
+    discovery: DiscoveryConfig = field(default_factory=DiscoveryConfig)
+    """Settings of skill discovery, but for its seed."""
+
+
+def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
+    """Trains what is missing, compares all methods on all seeds and leaves the results in the working folder.
+
+    Raises:
+        ConfigError: A setting cannot work, or ruptures is missing.
+        DatasetError: The dataset is damaged or incomplete, or its true stages are not known.
+        SegmentationError: It cannot be segmented as asked.
+    """
+    if config.seeds < 1:
+        raise ConfigError(f"seeds={config.seeds} cannot work; it must be at least 1.")
+    root = local_root(config.repo_id, config.root)
+    files = DatasetFiles(root)
+    if TRUE_STAGE not in files.features:
+        raise DatasetError(f"{root} has no column {TRUE_STAGE!r}, so that no segmentation can be scored against it.")
+    check_demonstrations(root, cameras=config.representation.cameras)
+    signals = {name: _signal(root, getattr(config, name)) for name in ("position", "gripper")}
+    gripper = [np.abs(fingers).mean(axis=1) for fingers in signals["gripper"]]
+    stages, fps = true_stages(root), float(files.info["fps"])
+    results: list[Result] = []
+    for seed in range(config.seeds):
+        settings = replace(config.representation, seed=seed)
+        latents = encode_dataset(root, train_representation(root, settings, work_dir / f"representation_{seed}"))
+        data = Demonstrations(latents, stages, signals["position"], gripper, fps)
+        results += compare(data, config.discovery, seed, config.methods)
+    write_json(work_dir / "comparison.json", comparison_rows(results))
+    draw_comparison(work_dir / "comparison.png", results, stages, fps)
+    return results
+
+
+def _signal(root: Path, patterns: list[str]) -> list[FloatArray]:
+    """Reads the dimensions of the state that match, ``(T, d)`` per demonstration."""
+    names = dimension_names(DatasetFiles(root).features[STATE])
+    dims = select_dims(names, patterns)
+    if not dims:
+        raise ConfigError(f"No dimension of {STATE} matches {patterns}; it has {list(names)}.")
+    table = read_table(root, [STATE])
+    state = table.columns[STATE][:, dims].astype(np.float64)
+    return [state[start:end] for start, end in zip(table.starts, table.ends, strict=True)]
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    config = parse(CompareConfig)
+    work_dir = Path(config.work_dir or Path("outputs/compare") / config.repo_id)
+    results = run(lambda: run_comparison(config, work_dir))
+    print(comparison_table(results), end="")
+    print(f"Picture and figures are in {work_dir}.")

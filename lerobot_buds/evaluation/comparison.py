@@ -1,0 +1,154 @@
+"""Compares ways to cut demonstrations into temporal segments; the skill partition that follows is the same for all."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from sklearn.metrics import adjusted_rand_score
+
+from lerobot_buds.core import ConfigError, FloatArray, IntArray, frames_of_seconds, near_names, segments_of
+from lerobot_buds.segmentation import PRESETS, DiscoveryConfig, baselines, preset
+
+from .agreement import Agreement, agreement, label_distance
+
+_SHORTEST_S = 1.0
+_UNIFORM_S = 2.0
+_SMOOTHING_S = 0.125
+_CELL_S = 0.25
+_PRIOR_S = (4.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """What the methods look at, one array per demonstration, and what they are scored by.
+
+    Attributes:
+        latents: ``(T, D)`` latents.
+        stages: ``(T,)`` true stages.
+        position: ``(T, 3)`` positions of the hand.
+        gripper: ``(T,)`` opening of the gripper.
+        fps: Frames per second.
+    """
+
+    latents: Sequence[FloatArray]
+    stages: Sequence[IntArray]
+    position: Sequence[FloatArray]
+    gripper: Sequence[FloatArray]
+    fps: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """One method on one seed.
+
+    Attributes:
+        method: Its name.
+        seed: The seed.
+        labels: ``(T,)`` skill of every frame, per demonstration.
+        scores: Agreement with the true stages.
+        label_distance: How differently demonstrations are labelled, see `label_distance`.
+        seconds: From latents to labels (wall time).
+    """
+
+    method: str
+    seed: int
+    labels: list[IntArray]
+    scores: Agreement
+    label_distance: float
+    seconds: float
+
+    @property
+    def n_skills(self) -> int:
+        """Number of skills."""
+        return len(np.unique(np.concatenate(self.labels)))
+
+    @property
+    def segments(self) -> float:
+        """Mean number of segments of a demonstration."""
+        return float(np.mean([len(segments_of(episode)) for episode in self.labels]))
+
+
+def _uniform(data: Demonstrations) -> list[IntArray]:
+    length = frames_of_seconds(_UNIFORM_S, data.fps)
+    return [baselines.uniform_segments(len(latents), length) for latents in data.latents]
+
+
+def _kernel_change_points(data: Demonstrations) -> list[IntArray]:
+    gamma, shortest = baselines.kernel_width(data.latents), frames_of_seconds(_SHORTEST_S, data.fps)
+    return [baselines.kernel_change_points(latents, shortest, gamma) for latents in data.latents]
+
+
+def _mean_change_points(data: Demonstrations) -> list[IntArray]:
+    shortest = frames_of_seconds(_SHORTEST_S, data.fps)
+    return [baselines.mean_change_points(latents, shortest) for latents in data.latents]
+
+
+def _map_change_points(data: Demonstrations) -> list[IntArray]:
+    cell, mean, spread, shortest = (frames_of_seconds(s, data.fps) for s in (_CELL_S, *_PRIOR_S, _SHORTEST_S))
+    return [baselines.map_change_points(latents, cell, mean, spread, shortest) for latents in data.latents]
+
+
+def _visual_subgoals(data: Demonstrations) -> list[IntArray]:
+    shortest = frames_of_seconds(_SHORTEST_S, data.fps)
+    return [baselines.visual_subgoals(latents, shortest, _SMOOTHING_S * data.fps) for latents in data.latents]
+
+
+def _grip_and_rest(data: Demonstrations) -> list[IntArray]:
+    shortest, smoothing = frames_of_seconds(_SHORTEST_S, data.fps), _SMOOTHING_S * data.fps
+    pairs = zip(data.position, data.gripper, strict=True)
+    return [baselines.grip_and_rest(position, gripper, shortest, smoothing) for position, gripper in pairs]
+
+
+def _true_stages(data: Demonstrations) -> list[IntArray]:
+    return [baselines.stage_segments(stages) for stages in data.stages]
+
+
+BASELINES: dict[str, Callable[[Demonstrations], list[IntArray]]] = {
+    "kernel change points": _kernel_change_points,
+    "mean change points": _mean_change_points,
+    "MAP change points": _map_change_points,
+    "UVD": _visual_subgoals,
+    "grip and rest": _grip_and_rest,
+    "uniform": _uniform,
+    "true stages": _true_stages,
+}
+"""How each baseline cuts all demonstrations. The last one is an oracle."""
+
+METHODS = (*PRESETS, *BASELINES)
+"""All methods: the presets of ours, then the baselines."""
+
+
+def compare(data: Demonstrations, config: DiscoveryConfig, seed: int, methods: Sequence[str] = METHODS) -> list[Result]:
+    """Runs methods on the same demonstrations and scores them.
+
+    Args:
+        data: The demonstrations.
+        config: Settings of skill discovery; all methods share those of the skill partition.
+        seed: Seed of the clustering, for the results' names too.
+        methods: Names out of `METHODS`.
+
+    Raises:
+        ConfigError: There is no such method, or ruptures is missing.
+        SegmentationError: The latents are not finite.
+    """
+    for name in methods:
+        if name not in METHODS:
+            raise ConfigError(f"There is no method {name!r} to compare. {near_names(name, METHODS)}")
+    return [_run(name, data, config, seed) for name in methods]
+
+
+def _run(name: str, data: Demonstrations, config: DiscoveryConfig, seed: int) -> Result:
+    began = time.perf_counter()
+    segments = BASELINES[name](data) if name in BASELINES else None
+    discovery = preset(name if segments is None else "default", config).build(data.fps)
+    labels = discovery.set_params(random_state=seed).fit(data.latents, segments=segments).labels_
+    seconds = time.perf_counter() - began
+    return Result(name, seed, labels, agreement(labels, data.stages, data.fps), label_distance(labels), seconds)
+
+
+def seed_stability(results: Sequence[Result]) -> float:
+    """Averages the adjusted Rand index between the labels of every two seeds of one method; 1 for a single seed."""
+    labels = [np.concatenate(result.labels) for result in results]
+    return float(np.mean([adjusted_rand_score(a, b) for a, b in combinations(labels, 2)])) if labels[1:] else 1.0

@@ -1,0 +1,47 @@
+"""``lerobot-buds-compare`` on small scripted demonstrations, and its refusals."""
+
+import sys
+
+import pytest
+from matplotlib.image import imread
+
+from lerobot_buds.cli import compare
+from lerobot_buds.core import read_json
+
+SMALL = [
+    *("--seeds=2", "--representation.image_size=32", "--representation.steps=5", "--representation.batch_size=16"),
+    *("--representation.device=cpu", "--discovery.max_skills=3"),
+]
+
+
+def run(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["lerobot-buds-compare", *map(str, arguments)])
+    compare.main()
+
+
+def test_all_methods_are_compared_on_every_seed(demonstrations, tmp_path, monkeypatch, capsys):
+    run(monkeypatch, "--repo_id=tests/demos", f"--root={demonstrations}", f"--work_dir={tmp_path}", *SMALL)
+    rows = read_json(tmp_path / "comparison.json")
+    assert [row["method"] for row in rows] == list(compare.METHODS)
+    assert all(row["seeds"] == [0, 1] for row in rows)
+    (oracle,) = [row for row in rows if row["method"] == "true stages"]
+    assert oracle["boundary F1"]["low"] == 1
+    assert imread(tmp_path / "comparison.png").std() > 0.1
+    assert capsys.readouterr().out.count("\n|") == len(compare.METHODS) + 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--seeds=0"], "seeds=0 cannot work"),
+        (["--gripper=[hand*]"], "No dimension of observation.state matches"),
+        (["--methods=[uniformly]"], "Did you mean 'uniform'"),
+    ],
+)
+def test_what_cannot_work_ends_in_one_line(demonstrations, tmp_path, monkeypatch, arguments, said):
+    with pytest.raises(SystemExit) as stop:
+        run(
+            monkeypatch,
+            *("--repo_id=tests/demos", f"--root={demonstrations}", f"--work_dir={tmp_path}", *SMALL, *arguments),
+        )
+    assert said in str(stop.value.code) and "\n" not in str(stop.value.code)
