@@ -6,6 +6,7 @@ the last node is the root and spans ``[0, T)``.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import sqrt
 from typing import Literal
 
 import numpy as np
@@ -138,26 +139,27 @@ def build_tree(
     """
     if len(latents) == 0:
         raise SegmentationError("A demonstration without frames has no task structure; remove the empty episode.")
+    describe = FEATURES[feature](latents)
     bottom = window_bounds(len(latents), window)
     count = len(bottom)
-    means = FEATURES[feature](latents)
-    bounds = np.concatenate([bottom, np.empty((count - 1, 2), dtype=np.int64)])
-    children = np.full((2 * count - 1, 2), -1, dtype=np.int64)
+    bounds = bottom.tolist()
+    children = [[-1, -1]] * count
 
-    nodes = np.arange(count)  # the current segments in time order
-    lengths = bottom[:, 1] - bottom[:, 0]
-    distances = np.linalg.norm(np.diff(means(bottom), axis=0), axis=1)  # of segment i to segment i + 1
+    # The current segments in time order: their nodes, where they begin, and their features.
+    nodes, edges, features = list(range(count)), [*bottom[:, 0].tolist(), len(latents)], list(describe(bottom))
+    # Of segment i and segment i + 1: how far apart their features are, and how long they are together.
+    distances = np.linalg.norm(np.diff(features, axis=0), axis=1)
+    spans = (bottom[1:, 1] - bottom[:-1, 0]).astype(np.float64)
     for new in range(count, 2 * count - 1):
-        penalty = length_penalty / len(nodes) * (lengths[:-1] + lengths[1:])
-        i = int(np.argmin(distances + penalty))
-        children[new] = nodes[i : i + 2]
-        bounds[new] = bounds[nodes[i], 0], bounds[nodes[i + 1], 1]
+        pairs = len(nodes) - 1
+        i = int((distances[:pairs] + length_penalty / len(nodes) * spans[:pairs]).argmin())
+        children.append(nodes[i : i + 2])
+        bounds.append([edges[i], edges[i + 2]])
+        nodes[i : i + 2], features[i : i + 2], edges[i + 1 : i + 2] = [new], [describe(np.array(bounds[-1]))], []
 
-        lengths[i] += lengths[i + 1]
-        lengths = np.delete(lengths, i + 1)
-        nodes[i] = new
-        nodes = np.delete(nodes, i + 1)
-        distances = np.delete(distances, i)
-        near = means(bounds[nodes[max(i - 1, 0) : i + 2]])
-        distances[max(i - 1, 0) : i + 1] = np.linalg.norm(np.diff(near, axis=0), axis=1)
-    return TaskStructure(bounds, children)
+        distances[i : pairs - 1], spans[i : pairs - 1] = distances[i + 1 : pairs], spans[i + 1 : pairs]
+        for j in (i - 1, i):
+            if 0 <= j < pairs - 1:
+                apart = features[j] - features[j + 1]
+                distances[j], spans[j] = sqrt(apart @ apart), edges[j + 2] - edges[j]
+    return TaskStructure(np.array(bounds, dtype=np.int64), np.array(children, dtype=np.int64))
