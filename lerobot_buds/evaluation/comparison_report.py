@@ -5,9 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
 from lerobot_buds.core import IntArray, write_atomically
 from lerobot_buds.segmentation.timeline import draw_rows
 
@@ -78,6 +75,9 @@ def draw_comparison(path: Path, results: Sequence[Result], stages: Sequence[IntA
         stages: ``(T,)`` true stages of every demonstration.
         fps: Frames per second.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     groups = by_method(results)
     shown = int(np.argsort([len(episode) for episode in stages], kind="stable")[len(stages) // 2])
     figure = Figure(figsize=(11, 0.36 * (len(groups) + 1) + 0.9), dpi=120, layout="constrained")
