@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from lerobot_buds.core import IntArray, write_atomically
 from lerobot_buds.segmentation.timeline import draw_rows
 
