@@ -3,8 +3,9 @@
 Importing this folder loads neither torch, LeRobot nor matplotlib; the functions that need them do.
 """
 
-from .discovery import PRESETS, DiscoveryConfig, SkillDiscovery, preset
+from .discovery import SkillDiscovery
 from .record import SegmentationRecord, SourceDescription, check_labels, load_labels
+from .settings import PRESETS, DiscoveryConfig, preset
 from .temporal import temporal_segments
 from .timeline import draw_timeline
 from .tree import TaskStructure, build_tree

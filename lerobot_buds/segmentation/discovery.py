@@ -2,24 +2,17 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from lerobot_buds.core import (
-    ConfigError,
-    FloatArray,
-    IntArray,
-    SegmentationError,
-    frames_of_seconds,
-    near_names,
-    segments_of,
-)
+from lerobot_buds.core import ConfigError, FloatArray, IntArray, SegmentationError, near_names, segments_of
 
+from .checks import checked_latents, tiling
 from .partition import dissolve_short_skills, partition_segments, renumber
-from .temporal import temporal_segments
+from .selection import choose_n_skills
+from .temporal import SEARCHES, Search, temporal_segments
 from .tree import FEATURES, Feature, adjacent_distances, build_tree
 
 logger = logging.getLogger(__name__)
@@ -36,7 +29,10 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         window: Frames per bottom element of the tree.
         max_skills: Most skills; ones that are too short on average are dissolved, so fewer may come out.
         n_skills: If given, exactly this many skills, none dissolved; `max_skills` and `min_skill_length` are not used.
+            ``"auto"`` clusters into the number from 2 to `max_skills` that parts the segments best, see
+            `choose_n_skills`, and then dissolves short skills as without it.
         segments_per_episode: Temporal segments wanted per demonstration; None for twice the number of skills (notes).
+        search: How the tree is cut: by ``levels`` (paper), or ``best_first`` for an exact number of segments (ours).
         min_segment_length: Nodes of the tree of this many frames or fewer are not split.
         min_skill_length: Shortest mean segment of a skill (frames).
         num_keyframes: Latents that describe a segment, at least 2.
@@ -54,19 +50,22 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         segments_: List of lists of `Segment`, the runs of equal skills.
         temporal_segments_: List of ``(S, 2)`` int64 half-open spans, before clustering.
         n_skills_: Number of skills K.
+        scores_: With ``n_skills="auto"``, how well each number of clusters parts the segments; else empty.
     """
 
     labels_: list[IntArray]
     temporal_segments_: list[IntArray]
     n_skills_: int
+    scores_: dict[int, float]
 
     def __init__(
         self,
         *,
         window: int = 10,
         max_skills: int = 8,
-        n_skills: int | None = None,
+        n_skills: int | Literal["auto"] | None = None,
         segments_per_episode: int | None = None,
+        search: Search = "levels",
         min_segment_length: int = 20,
         min_skill_length: int = 30,
         num_keyframes: int = 5,
@@ -81,6 +80,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         self.max_skills = max_skills
         self.n_skills = n_skills
         self.segments_per_episode = segments_per_episode
+        self.search = search
         self.min_segment_length = min_segment_length
         self.min_skill_length = min_skill_length
         self.num_keyframes = num_keyframes
@@ -109,28 +109,28 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             SegmentationError: A latent is not finite, or `n_skills` is more than there are segments.
         """
         self._check_parameters()
-        episodes = _checked(latents)
-        skills = self.n_skills or self.max_skills
-        self.temporal_segments_ = self._segments(episodes, skills) if segments is None else _tiling(episodes, segments)
-        self._check_enough()
-        labels = partition_segments(
-            episodes,
-            self.temporal_segments_,
-            skills,
-            num_keyframes=self.num_keyframes,
-            passes=self.passes,
-            random_state=self.random_state,
-            gamma=self.gamma,
-        )
-        if self.n_skills is None:
+        episodes = checked_latents(latents)
+        exact = self.n_skills if isinstance(self.n_skills, int) else None
+        skills, self.scores_ = exact or self.max_skills, {}
+        self.temporal_segments_ = self._segments(episodes, skills) if segments is None else tiling(episodes, segments)
+        self._check_enough(exact)
+        clustering: dict[str, Any] = {
+            "num_keyframes": self.num_keyframes,
+            "random_state": self.random_state,
+            "gamma": self.gamma,
+        }
+        if self.n_skills == "auto":
+            skills, self.scores_ = choose_n_skills(episodes, self.temporal_segments_, self.max_skills, **clustering)
+        labels = partition_segments(episodes, self.temporal_segments_, skills, passes=self.passes, **clustering)
+        if exact is None:
             labels = dissolve_short_skills(episodes, labels, self.min_skill_length, self.num_keyframes)
         self.labels_ = renumber(labels)
         self.segments_ = [segments_of(episode) for episode in self.labels_]
         self.n_skills_ = 1 + max(int(episode.max()) for episode in self.labels_ if len(episode))
-        if self.n_skills is not None and self.n_skills_ != self.n_skills:
+        if exact is not None and self.n_skills_ != exact:
             raise SegmentationError(
-                f"n_skills = {self.n_skills} skills were asked for, but the segments fall into {self.n_skills_} "
-                f"distinct groups only. Lower n_skills, or check that the latents differ within episodes."
+                f"n_skills = {exact} skills were asked for, but the segments fall into {self.n_skills_} distinct "
+                "groups only. Lower n_skills, or check that the latents differ within episodes."
             )
         return self
 
@@ -143,7 +143,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             if len(episode) == 0:
                 return np.empty((0, 2), dtype=np.int64)
             tree = build_tree(episode, self.window, self.length_penalty * unit, self.feature)
-            return temporal_segments(tree, wanted, self.min_segment_length)
+            return temporal_segments(tree, wanted, self.min_segment_length, self.search)
 
         found = [cut(episode) for episode in episodes]
         counts = [len(bounds) for bounds in found]
@@ -173,163 +173,26 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         }
         for name, low in least.items():
             value = getattr(self, name)
-            if value is not None and not value >= low:
+            if value == "auto" and name == "n_skills":
+                continue
+            if value is not None and not (isinstance(value, int | float) and value >= low):
                 raise ConfigError(f"Skill discovery: {name} = {value!r} cannot work; it must be at least {low}.")
-        if self.feature not in FEATURES:
-            raise ConfigError(
-                f"Skill discovery: there is no feature {self.feature!r}. {near_names(self.feature, FEATURES)}"
-            )
+        for name, known in (("feature", FEATURES), ("search", SEARCHES)):
+            value = getattr(self, name)
+            if value not in known:
+                raise ConfigError(f"Skill discovery: there is no {name} {value!r}. {near_names(value, known)}")
         if self.gamma is not None and not self.gamma > 0:
             raise ConfigError(f"Skill discovery: gamma = {self.gamma!r} cannot work; it must be positive.")
 
-    def _check_enough(self) -> None:
+    def _check_enough(self, n_skills: int | None) -> None:
         counts = [len(bounds) for bounds in self.temporal_segments_]
-        if self.n_skills is not None and self.n_skills > sum(counts):
+        if n_skills is not None and n_skills > sum(counts):
             raise SegmentationError(
-                f"n_skills = {self.n_skills} skills were asked for, but the {len(counts)} demonstrations have only "
+                f"n_skills = {n_skills} skills were asked for, but the {len(counts)} demonstrations have only "
                 f"{sum(counts)} temporal segments. Lower n_skills to at most {sum(counts)}, shorten the window "
                 f"({self.window} frames) or the minimum segment length ({self.min_segment_length} frames), or add "
                 "demonstrations."
             )
-
-
-@dataclass(frozen=True)
-class DiscoveryConfig:
-    """Settings of skill discovery, with durations in seconds so that they hold at any frame rate.
-
-    The defaults are those published for the Kitchen task (20 frames per second).
-    """
-
-    window_s: float = 0.5
-    """Length of the tree's bottom elements (seconds). Paper: 10 frames."""
-
-    max_skills: int = 8
-    """Most skills K_max. Implementation notes: 8 for Kitchen, 6 for Tool-Use and Hammer-Place, 10 for Multitask-
-    Kitchen."""
-
-    n_skills: int | None = None
-    """If given, exactly this many skills, none dissolved. Ours; for the paper's table over K."""
-
-    segments_per_episode: int | None = None
-    """Temporal segments per demonstration; None for twice the skills. Implementation notes: 2."""
-
-    min_segment_s: float = 1.0
-    """Nodes of the tree up to this long are not split (seconds). Ours: two windows; the paper leaves it open."""
-
-    min_skill_s: float = 1.5
-    """Shortest mean segment of a skill (seconds). Released commands: 30 frames for Kitchen; 35 frames for Hammer-
-    Place, 20 for Multitask-Kitchen."""
-
-    num_keyframes: int = 5
-    """Latents that describe a segment. Released code: 5 for the kitchens, 3 for the others."""
-
-    feature: Feature = "mean"
-    """What describes a segment in the tree: ``mean`` over all frames (paper), or ``three_frames`` (released code)."""
-
-    length_penalty: float = 4.0
-    """Penalty per second of merged length in the tree. Released code: 1/5 per frame; 0 is the paper."""
-
-    relative_penalty: bool = True
-    """Takes the penalty in units of the median distance between neighbouring bottom elements. Ours; the released code
-    takes it in units of the latents, whose scale is arbitrary."""
-
-    passes: int = 2
-    """Times the segments are clustered. Released code: 2; paper: 1."""
-
-    gamma: float | None = None
-    """Width of the clustering's kernel; None for a width taken from the segments (ours). Released code: 0.0025 for all
-    tasks but Hammer-Place, 0.0001, on latents of arbitrary scale."""
-
-    seed: int = 0
-    """Seed of the clustering. Ours; the release is not seeded."""
-
-    def build(self, fps: float) -> SkillDiscovery:
-        """Makes the estimator for a frame rate (frames per second)."""
-        return SkillDiscovery(
-            window=frames_of_seconds(self.window_s, fps),
-            max_skills=self.max_skills,
-            n_skills=self.n_skills,
-            segments_per_episode=self.segments_per_episode,
-            min_segment_length=frames_of_seconds(self.min_segment_s, fps),
-            min_skill_length=frames_of_seconds(self.min_skill_s, fps),
-            num_keyframes=self.num_keyframes,
-            feature=self.feature,
-            length_penalty=self.length_penalty / fps,
-            relative_penalty=self.relative_penalty,
-            passes=self.passes,
-            gamma=self.gamma,
-            random_state=self.seed,
-        )
-
-
-def preset(name: str, config: DiscoveryConfig) -> DiscoveryConfig:
-    """Makes settings follow the paper or the released code wherever they depart from it.
-
-    Task-dependent settings (numbers of skills and keyframes, durations) stay as they are.
-
-    Args:
-        name: ``default`` (ours; changes nothing), ``paper`` or ``released``.
-        config: The settings to start from.
-
-    Raises:
-        ConfigError: There is no such preset.
-    """
-    if name not in PRESETS:
-        raise ConfigError(f"There is no preset {name!r}. {near_names(name, PRESETS)}")
-    return replace(config, **PRESETS[name])
-
-
-PRESETS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "paper": {"feature": "mean", "length_penalty": 0.0, "passes": 1},
-    # Its search has no minimum, and its kernel width is that of all tasks but Hammer-Place.
-    "released": {
-        "feature": "three_frames",
-        "length_penalty": 4.0,
-        "relative_penalty": False,
-        "passes": 2,
-        "gamma": 0.05**2,
-        "min_segment_s": 0.0,
-    },
-}
-"""What the presets set; docs/segmentation.md says why."""
-
-
-def _checked(latents: Sequence[FloatArray]) -> list[FloatArray]:
-    episodes = [np.asarray(episode, dtype=np.float64) for episode in latents]
-    if not any(len(episode) for episode in episodes):
-        raise SegmentationError("There are no demonstrations to segment: no episode has any frame.")
-    dims = episodes[0].shape[1:]
-    for number, episode in enumerate(episodes):
-        if episode.ndim != 2 or episode.shape[1:] != dims or dims[0] == 0:
-            raise SegmentationError(
-                f"The latents of episode {number} have shape {episode.shape}; (frames, dimensions) was expected, with "
-                f"the dimensions of episode 0, {episodes[0].shape}."
-            )
-        bad = np.argwhere(~np.isfinite(episode))
-        if len(bad):
-            frame, dim = bad[0]
-            raise SegmentationError(
-                f"The latent of episode {number}, frame {frame}, dimension {dim} is {episode[frame, dim]} "
-                f"({len(bad)} such values in this episode). Check the episode's frames, or train the representation "
-                "again."
-            )
-    return episodes
-
-
-def _tiling(episodes: list[FloatArray], segments: Sequence[IntArray]) -> list[IntArray]:
-    """Refuses segments that do not tile the demonstrations."""
-    if len(segments) != len(episodes):
-        raise SegmentationError(
-            f"There are segments of {len(segments)} demonstrations, but latents of {len(episodes)}."
-        )
-    for number, (episode, bounds) in enumerate(zip(episodes, segments, strict=True)):
-        edges = [0, *bounds[:, 1].tolist()]
-        if bounds[:, 0].tolist() != edges[:-1] or edges[-1] != len(episode) or (np.diff(edges) < 1).any():
-            raise SegmentationError(
-                f"The segments of demonstration {number} do not tile its {len(episode)} frames: {bounds.tolist()}."
-            )
-    return list(segments)
 
 
 def _median_distance(episodes: list[FloatArray], window: int, feature: Feature) -> float:

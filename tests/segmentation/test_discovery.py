@@ -204,3 +204,28 @@ def test_the_releases_penalty_depends_on_the_scale(demonstrations: Callable[...,
 def test_bad_choices_are_refused(name: str, value: object) -> None:
     with pytest.raises(ConfigError, match=str(value)):
         SkillDiscovery(**{name: value}).fit([np.zeros((5, 2))])
+
+
+@pytest.mark.parametrize("stages", [2, 3, 5])
+def test_the_number_of_skills_is_found(demonstrations: Callable[..., tuple], stages: int) -> None:
+    latents, truth = demonstrations(count=8, stages=stages, seed=stages)
+    pieces = [  # none straddles a boundary: whole stages, cut into thirds
+        np.array([(s.start + i * s.length // 3, s.start + (i + 1) * s.length // 3) for s in runs for i in range(3)])
+        for runs in map(segments_of, truth)
+    ]
+    found = SkillDiscovery(n_skills="auto", max_skills=8, min_skill_length=10).fit(latents, segments=pieces)
+    assert found.n_skills_ == stages
+    assert max(found.scores_, key=found.scores_.__getitem__) == stages
+    assert set(found.scores_) == set(range(2, 9)) and all(-1 <= score <= 1 for score in found.scores_.values())
+    assert adjusted_rand_score(np.concatenate(truth), np.concatenate(found.labels_)) > 0.9
+
+
+def test_one_segment_is_one_skill_when_the_number_is_free() -> None:
+    found = SkillDiscovery(n_skills="auto").fit([np.random.default_rng(0).normal(size=(12, 3))])
+    assert found.n_skills_ == 1 and found.scores_ == {}
+
+
+def test_best_first_gives_the_count_that_was_asked_for(demonstrations: Callable[..., tuple]) -> None:
+    latents, _ = demonstrations()
+    found = SkillDiscovery(segments_per_episode=7, search="best_first").fit(latents)
+    assert {len(bounds) for bounds in found.temporal_segments_} == {7}

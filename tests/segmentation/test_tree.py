@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lerobot_buds.core import SegmentationError
-from lerobot_buds.segmentation.temporal import temporal_segments
+from lerobot_buds.segmentation.temporal import SEARCHES, Search, temporal_segments
 from lerobot_buds.segmentation.tree import adjacent_distances, build_tree, window_bounds
 
 
@@ -94,10 +94,12 @@ def test_adjacent_distances_see_the_step() -> None:
 
 
 @settings(deadline=None)
-@given(st.integers(1, 400), st.integers(1, 40), st.integers(0, 60), st.integers(0, 1000))
-def test_temporal_segments_tile_and_stop(total: int, count: int, min_length: int, seed: int) -> None:
+@given(
+    st.integers(1, 400), st.integers(1, 40), st.integers(0, 60), st.integers(0, 1000), st.sampled_from(list(SEARCHES))
+)
+def test_temporal_segments_tile_and_stop(total: int, count: int, min_length: int, seed: int, search: Search) -> None:
     tree = build_tree(np.random.default_rng(seed).normal(size=(total, 3)), 10)
-    bounds = temporal_segments(tree, count, min_length)
+    bounds = temporal_segments(tree, count, min_length, search)
     assert bounds[0, 0] == 0 and bounds[-1, 1] == total
     assert (bounds[1:, 0] == bounds[:-1, 1]).all()
     bottom = {tuple(b) for b in window_bounds(total, 10).tolist()}
@@ -108,6 +110,16 @@ def test_temporal_segments_tile_and_stop(total: int, count: int, min_length: int
             tree.bounds[i] for i in range(len(tree.bounds)) if [start, end] in tree.bounds[tree.children[i]].tolist()
         ]
         assert end - start == total or any(e - s > min_length for s, e in parents)
+
+
+def test_undoing_merges_gives_the_exact_count_and_the_state_of_the_merging() -> None:
+    tree = build_tree(np.random.default_rng(1).normal(size=(600, 3)), 10, 0.5)
+    bottom = len(window_bounds(600, 10))
+    for count in range(1, bottom + 1):
+        made = bottom + bottom - count  # nodes that exist when the merging has come down to so many segments
+        inside = set(tree.children[bottom:made].ravel().tolist())
+        current = sorted(tree.bounds[n].tolist() for n in range(made) if n not in inside)
+        assert temporal_segments(tree, count, 0, "best_first").tolist() == current
 
 
 def test_the_search_stops_at_the_first_level_that_is_fine_enough() -> None:
