@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Creates or replaces one file so that a reader, or a kill, never sees half of it.
 
     Args:
@@ -31,7 +31,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 def write_json(path: Path, content: Any) -> None:
     """Writes plain data as indented JSON with sorted keys, atomically; NaN and infinities are refused."""
     text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n"
-    write_atomically(path, lambda part: _write_text(part, text))
+    write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def read_json(path: Path) -> Any:
@@ -76,10 +76,6 @@ def sha256_of_file(path: Path) -> str:
 def sha256_of_json(content: Any) -> str:
     """Hashes plain data by its canonical JSON, as a hexadecimal string; names caches by what determines them."""
     return sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def _sync(path: Path) -> None:

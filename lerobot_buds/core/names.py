@@ -22,6 +22,7 @@ RECORD_DIR = "meta/buds"
 """Folder of this package's own records inside a dataset root; below ``meta/`` so that it travels to the Hub."""
 
 SEGMENTATION_FILE = f"{RECORD_DIR}/segmentation.json"
+EXEMPLARS_FILE = f"{RECORD_DIR}/exemplars.safetensors"
 COLLECTION_FILE = f"{RECORD_DIR}/collection.json"
 CONTACT_SHEET_FILE = f"{RECORD_DIR}/contact_sheet.png"
 

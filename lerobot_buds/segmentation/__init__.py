@@ -4,6 +4,8 @@ Importing this folder loads neither torch, LeRobot nor matplotlib; the functions
 """
 
 from .discovery import SkillDiscovery
+from .exemplars import read_library, write_library
+from .library import SkillLibrary
 from .record import SegmentationRecord, SourceDescription, check_labels, load_labels
 from .settings import PRESETS, DiscoveryConfig, preset
 from .temporal import temporal_segments
@@ -16,6 +18,7 @@ __all__ = [
     "DiscoveryConfig",
     "SegmentationRecord",
     "SkillDiscovery",
+    "SkillLibrary",
     "SourceDescription",
     "TaskStructure",
     "build_tree",
@@ -23,6 +26,8 @@ __all__ = [
     "draw_timeline",
     "load_labels",
     "preset",
+    "read_library",
     "temporal_segments",
+    "write_library",
     "write_segmented_dataset",
 ]

@@ -112,7 +112,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         episodes = checked_latents(latents)
         exact = self.n_skills if isinstance(self.n_skills, int) else None
         skills, self.scores_ = exact or self.max_skills, {}
-        self.temporal_segments_ = self._segments(episodes, skills) if segments is None else tiling(episodes, segments)
+        self.temporal_segments_ = self._cut(episodes, skills) if segments is None else tiling(episodes, segments)
         self._check_enough(exact)
         clustering: dict[str, Any] = {
             "num_keyframes": self.num_keyframes,
@@ -134,8 +134,24 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             )
         return self
 
-    def _segments(self, episodes: list[FloatArray], skills: int) -> list[IntArray]:
-        """Cuts every demonstration by its tree."""
+    def cut(self, latents: Sequence[FloatArray]) -> list[IntArray]:
+        """Cuts demonstrations into temporal segments by their trees, without looking for skills.
+
+        Args:
+            latents: ``(T, D)`` latents of every demonstration.
+
+        Returns:
+            ``(S, 2)`` int64 half-open spans of every demonstration, tiling it.
+
+        Raises:
+            ConfigError: A parameter has a value that cannot work.
+            SegmentationError: A latent is not finite.
+        """
+        self._check_parameters()
+        exact = self.n_skills if isinstance(self.n_skills, int) else None
+        return self._cut(checked_latents(latents), exact or self.max_skills)
+
+    def _cut(self, episodes: list[FloatArray], skills: int) -> list[IntArray]:
         wanted = self.segments_per_episode or 2 * skills
         unit = _median_distance(episodes, self.window, self.feature) if self.relative_penalty else 1.0
 

@@ -5,7 +5,7 @@ Nothing here depends on the order of the demonstrations, but for the names of th
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 import numpy as np
 
@@ -67,7 +67,11 @@ def partition_segments(
 
 
 def dissolve_short_skills(
-    latents: Sequence[FloatArray], labels: Sequence[IntArray], min_length: int, num_keyframes: int
+    latents: Sequence[FloatArray],
+    labels: Sequence[IntArray],
+    min_length: int,
+    num_keyframes: int,
+    keep: Container[int] = (),
 ) -> list[IntArray]:
     """Gives the frames of skills whose mean run is too short to their neighbours in time (released code, made exact).
 
@@ -80,6 +84,7 @@ def dissolve_short_skills(
         labels: ``(T,)`` labels of every demonstration.
         min_length: Shortest mean run that a skill may have (frames).
         num_keyframes: Keyframes per segment.
+        keep: Labels that stay, however short.
 
     Returns:
         New ``(T,)`` labels of every demonstration, out of the labels that stay.
@@ -90,7 +95,7 @@ def dissolve_short_skills(
     lengths = np.array([run.length for episode in runs for run in episode])
     mean_length = {label: float(lengths[owners == label].mean()) for label in np.unique(owners).tolist()}
     ascending = sorted(mean_length, key=lambda label: (mean_length[label], label))
-    short = [label for label in ascending if mean_length[label] < min_length]
+    short = [label for label in ascending if mean_length[label] < min_length and label not in keep]
     if len(short) == len(ascending):
         short.pop()
         logger.warning(
