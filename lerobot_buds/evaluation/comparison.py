@@ -50,6 +50,7 @@ class Result:
         scores: Agreement with the true stages.
         label_distance: How differently demonstrations are labelled, see `label_distance`.
         seconds: From latents to labels (wall time).
+        fps: Frames per second.
     """
 
     method: str
@@ -58,6 +59,7 @@ class Result:
     scores: Agreement
     label_distance: float
     seconds: float
+    fps: float
 
     @property
     def n_skills(self) -> int:
@@ -68,6 +70,17 @@ class Result:
     def segments(self) -> float:
         """Mean number of segments of a demonstration."""
         return float(np.mean([len(segments_of(episode)) for episode in self.labels]))
+
+    @property
+    def skills(self) -> list[dict[str, float]]:
+        """Per skill, the number of its segments and their mean length (seconds)."""
+        lengths: dict[int, list[int]] = {}
+        for segment in (segment for episode in self.labels for segment in segments_of(episode)):
+            lengths.setdefault(segment.label, []).append(segment.length)
+        return [
+            {"segments": len(of_skill), "mean_seconds": float(np.mean(of_skill)) / self.fps}
+            for _, of_skill in sorted(lengths.items())
+        ]
 
 
 def _uniform(data: Demonstrations) -> list[IntArray]:
@@ -145,7 +158,9 @@ def _run(name: str, data: Demonstrations, config: DiscoveryConfig, seed: int) ->
     discovery = preset(name if segments is None else "default", config).build(data.fps)
     labels = discovery.set_params(random_state=seed).fit(data.latents, segments=segments).labels_
     seconds = time.perf_counter() - began
-    return Result(name, seed, labels, agreement(labels, data.stages, data.fps), label_distance(labels), seconds)
+    return Result(
+        name, seed, labels, agreement(labels, data.stages, data.fps), label_distance(labels), seconds, data.fps
+    )
 
 
 def seed_stability(results: Sequence[Result]) -> float:

@@ -37,7 +37,8 @@ def comparison_rows(results: Sequence[Result]) -> list[dict[str, Any]]:
     """Averages every score of every method over the seeds, as plain data.
 
     Returns:
-        One mapping a method: its name, each column's mean, its range where seeds differ, and the stability over seeds.
+        One mapping a method: its name, each column's mean and range, the stability over seeds, and the number and mean
+        length of the segments of every skill (first seed).
     """
     rows: list[dict[str, Any]] = []
     for method, of_method in by_method(results).items():
@@ -46,6 +47,7 @@ def comparison_rows(results: Sequence[Result]) -> list[dict[str, Any]]:
             values = [float(value(r)) for r in of_method]
             row[name] = {"mean": float(np.mean(values)), "low": min(values), "high": max(values)}
         row["seed stability"] = seed_stability(of_method)
+        row["segments of skills"] = of_method[0].skills
         rows.append(row)
     return rows
 

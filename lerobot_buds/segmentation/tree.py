@@ -7,7 +7,7 @@ the last node is the root and spans ``[0, T)``.
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -54,40 +54,38 @@ def window_bounds(total: int, window: int) -> IntArray:
     return np.stack([edges[:-1], edges[1:]], axis=1)
 
 
-class SegmentMeans:
-    """Answers the mean latent of any span of one demonstration, from prefix sums.
+Describe = Callable[[Any, Any], FloatArray]
+"""From first frame and end of a span, or ``(S,)`` arrays of them, to its feature, ``(D,)`` or ``(S, D)``."""
+
+
+def means(latents: FloatArray) -> Describe:
+    """Makes the paper's feature: the mean of *all* latents of a span, less their overall mean, which no distance sees.
 
     Args:
-        latents: ``(T, D)`` float latents.
+        latents: ``(T, D)`` latents of one demonstration.
     """
+    # Prefix sums of centred latents lose no digits to a common offset.
+    centred = latents - latents.mean(axis=0)
+    sums = np.concatenate([np.zeros((1, centred.shape[1])), np.cumsum(centred, axis=0)])
 
-    def __init__(self, latents: FloatArray) -> None:
-        # Prefix sums of centred latents lose no digits to a common offset, and distances do not see it.
-        centred = latents - latents.mean(axis=0)
-        self._sums = np.concatenate([np.zeros((1, centred.shape[1])), np.cumsum(centred, axis=0)])
+    def feature(start: Any, end: Any) -> FloatArray:
+        result: FloatArray = ((sums[end] - sums[start]).T / (end - start)).T
+        return result
 
-    def __call__(self, bounds: IntArray) -> FloatArray:
-        """Averages the (centred) latents of spans.
-
-        Args:
-            bounds: ``(..., 2)`` half-open spans.
-
-        Returns:
-            ``(..., D)`` means over *all* frames of each span (paper; the released code takes three frames).
-        """
-        start, end = bounds[..., 0], bounds[..., 1]
-        means: FloatArray = (self._sums[end] - self._sums[start]) / (end - start)[..., None]
-        return means
+    return feature
 
 
-def three_frames(latents: FloatArray) -> Callable[[IntArray], FloatArray]:
+def three_frames(latents: FloatArray) -> Describe:
     """Makes the released code's feature: the mean latent of a span's first, middle and last frame.
 
     The last one is the first frame after the span, which neighbours share in the release; at the end, the last frame.
+
+    Args:
+        latents: ``(T, D)`` latents of one demonstration.
     """
 
-    def feature(bounds: IntArray) -> FloatArray:
-        start, last = bounds[..., 0], np.minimum(bounds[..., 1], len(latents) - 1)
+    def feature(start: Any, end: Any) -> FloatArray:
+        last = np.minimum(end, len(latents) - 1)
         result: FloatArray = (latents[start] + latents[(start + last) // 2] + latents[last]) / 3
         return result
 
@@ -95,10 +93,7 @@ def three_frames(latents: FloatArray) -> Callable[[IntArray], FloatArray]:
 
 
 Feature = Literal["mean", "three_frames"]
-FEATURES: dict[Feature, Callable[[FloatArray], Callable[[IntArray], FloatArray]]] = {
-    "mean": SegmentMeans,
-    "three_frames": three_frames,
-}
+FEATURES: dict[Feature, Callable[[FloatArray], Describe]] = {"mean": means, "three_frames": three_frames}
 """What describes a span in the tree: the paper's mean over all frames, or the released code's three."""
 
 
@@ -113,8 +108,8 @@ def adjacent_distances(latents: FloatArray, window: int, feature: Feature = "mea
     Returns:
         ``(n - 1,)`` distances.
     """
-    means = FEATURES[feature](latents)(window_bounds(len(latents), window))
-    distances: FloatArray = np.linalg.norm(np.diff(means, axis=0), axis=1)
+    features = FEATURES[feature](latents)(*window_bounds(len(latents), window).T)
+    distances: FloatArray = np.linalg.norm(np.diff(features, axis=0), axis=1)
     return distances
 
 
@@ -142,24 +137,30 @@ def build_tree(
     describe = FEATURES[feature](latents)
     bottom = window_bounds(len(latents), window)
     count = len(bottom)
-    bounds = bottom.tolist()
-    children = [[-1, -1]] * count
+    bounds, children = bottom.tolist(), [[-1, -1]] * count
 
-    # The current segments in time order: their nodes, where they begin, and their features.
-    nodes, edges, features = list(range(count)), [*bottom[:, 0].tolist(), len(latents)], list(describe(bottom))
-    # Of segment i and segment i + 1: how far apart their features are, and how long they are together.
-    distances = np.linalg.norm(np.diff(features, axis=0), axis=1)
-    spans = (bottom[1:, 1] - bottom[:-1, 0]).astype(np.float64)
+    # A segment lives in the slot of its first bottom element, and begins where that does. Of slot i: its node, its end,
+    # its feature, and the slots of the segments before and after it.
+    nodes, ends, features = list(range(count)), bottom[:, 1].tolist(), list(describe(*bottom.T))
+    before, after = list(range(-1, count - 1)), list(range(1, count + 1))
+    # Of the segment in slot i and the next one: how far apart their features are, and how long they are together.
+    distances = np.append(np.linalg.norm(np.diff(features, axis=0), axis=1), np.inf)
+    spans = np.append(bottom[1:, 1] - bottom[:-1, 0], 0).astype(np.float64)
+    costs = np.empty(count)
     for new in range(count, 2 * count - 1):
-        pairs = len(nodes) - 1
-        i = int((distances[:pairs] + length_penalty / len(nodes) * spans[:pairs]).argmin())
-        children.append(nodes[i : i + 2])
-        bounds.append([edges[i], edges[i + 2]])
-        nodes[i : i + 2], features[i : i + 2], edges[i + 1 : i + 2] = [new], [describe(np.array(bounds[-1]))], []
-
-        distances[i : pairs - 1], spans[i : pairs - 1] = distances[i + 1 : pairs], spans[i + 1 : pairs]
-        for j in (i - 1, i):
-            if 0 <= j < pairs - 1:
-                apart = features[j] - features[j + 1]
-                distances[j], spans[j] = sqrt(apart @ apart), edges[j + 2] - edges[j]
+        np.multiply(spans, length_penalty / (2 * count - new), out=costs)
+        costs += distances
+        i = int(costs.argmin())
+        j = after[i]
+        children.append([nodes[i], nodes[j]])
+        bounds.append([bounds[i][0], ends[j]])
+        nodes[i], ends[i], after[i] = new, ends[j], after[j]
+        features[i] = describe(bounds[i][0], ends[i])
+        distances[i] = distances[j] = np.inf
+        if after[i] < count:
+            before[after[i]] = i
+        for left in (before[i], i):
+            if left >= 0 and (right := after[left]) < count:
+                apart = features[left] - features[right]
+                distances[left], spans[left] = sqrt(apart.dot(apart)), ends[right] - bounds[left][0]
     return TaskStructure(np.array(bounds, dtype=np.int64), np.array(children, dtype=np.int64))

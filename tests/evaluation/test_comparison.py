@@ -61,6 +61,10 @@ def test_rows_average_over_seeds(results):
     first = [r for r in results if r.method == METHODS[0]]
     assert rows[0]["NMI"]["mean"] == pytest.approx(np.mean([r.scores.nmi for r in first]))
     assert rows[0]["seeds"] == [0, 1] and 0 <= rows[0]["seed stability"] <= 1
+    skills = rows[0]["segments of skills"]
+    assert sum(skill["segments"] for skill in skills) == pytest.approx(first[0].segments * 6)
+    frames = sum(skill["segments"] * skill["mean_seconds"] * FPS for skill in skills)
+    assert frames == pytest.approx(sum(map(len, first[0].labels)))
     table = comparison_table(results).splitlines()
     assert len(table) == 2 + len(METHODS) and len({line.count("|") for line in table}) == 1
 
