@@ -4,6 +4,8 @@ import logging
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+import torch
+
 from lerobot_buds.core import TRUE_STAGE, ConfigError, IntArray, frames_of_seconds
 from lerobot_buds.demos import DatasetFiles, check_demonstrations, read_table
 from lerobot_buds.evaluation import Agreement, agreement
@@ -44,19 +46,26 @@ class SegmentConfig:
     """How far ahead a subgoal lies at most (seconds). Implementation notes: 1.5; multi-task 1.0."""
 
     representation: RepresentationConfig = field(default_factory=RepresentationConfig)
-    """Settings of the representation."""
+    """Settings of the representation that is trained."""
+
+    representation_path: str | None = None
+    """A finished representation to use instead: its folder, or its repository on the Hub."""
 
     discovery: DiscoveryConfig = field(default_factory=DiscoveryConfig)
     """Settings of skill discovery."""
 
 
-def segment(config: SegmentConfig) -> SegmentationRecord:
+def segment(config: SegmentConfig) -> SegmentationRecord | None:
     """Runs the whole pass; an interrupted one goes on where it was.
+
+    Returns:
+        What was found; None in all but the first process of ``accelerate launch``, which share the training alone.
 
     Raises:
         DatasetError: The dataset is damaged or incomplete.
         SegmentationError: It cannot be segmented as asked, or the output exists.
         ConfigError: A setting cannot work.
+        CheckpointError: The representation cannot be had, or does not fit the dataset.
     """
     if not config.subgoal_horizon_s > 0:
         raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
@@ -64,9 +73,10 @@ def segment(config: SegmentConfig) -> SegmentationRecord:
     output_repo_id = config.output_repo_id or f"{config.repo_id}_skills"
     work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
     files = DatasetFiles(root)
-    check_demonstrations(root, cameras=config.representation.cameras)
-    representation = train_representation(root, config.representation, work_dir / "representation")
-    if representation.modalities.cameras:
+    representation = _representation(config, root, work_dir)
+    if torch.distributed.is_initialized() and torch.distributed.get_rank() > 0:
+        return None
+    if representation.draws:
         draw_reconstructions(root, representation, work_dir / "reconstructions.png")
     latents = encode_dataset(root, representation)
     fps = int(files.info["fps"])
@@ -79,7 +89,7 @@ def segment(config: SegmentConfig) -> SegmentationRecord:
         fps=fps,
         horizon=frames_of_seconds(config.subgoal_horizon_s, fps),
         parameters=asdict(config.discovery),
-        seeds={"representation": config.representation.seed, "discovery": config.discovery.seed},
+        seeds={"representation": representation.config.seed, "discovery": config.discovery.seed},
         representation=_describe(representation),
         agreement=asdict(scores) if scores else None,
     )
@@ -93,6 +103,8 @@ def main() -> None:
     """Entry point of the console script."""
     config = parse(SegmentConfig)
     record = run(lambda: segment(config))
+    if record is None:
+        return
     print(f"{record.n_skills} skills in {len(record.episodes)} demonstrations")
     for number, skill in enumerate(record.skills):
         print(f"  skill {number}: {skill['segments']:.0f} segments of {skill['mean_seconds']:.1f} s on average")
@@ -115,6 +127,21 @@ def true_stages(root: Path) -> list[IntArray]:
     table = read_table(root, [TRUE_STAGE])
     column = table.columns[TRUE_STAGE]
     return [column[start:end] for start, end in zip(table.starts, table.ends, strict=True)]
+
+
+def _representation(config: SegmentConfig, root: Path, work_dir: Path) -> Representation:
+    """Checks the demonstrations, and trains a representation on them or takes the finished one."""
+    if config.representation_path is None:
+        check_demonstrations(root, cameras=config.representation.cameras)
+        return train_representation(root, config.representation, work_dir / "representation")
+    if config.representation != RepresentationConfig():
+        raise ConfigError(
+            f"representation_path={config.representation_path!r} is used as it is, so that settings of a new "
+            "representation have no effect: leave out either it or representation.* (also in the settings file)."
+        )
+    representation = Representation.from_pretrained(config.representation_path)
+    check_demonstrations(root, cameras=list(representation.modalities.cameras))
+    return representation
 
 
 def _describe(representation: Representation) -> dict[str, object]:

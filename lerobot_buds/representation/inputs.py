@@ -60,10 +60,10 @@ class Modalities:
         files.require([*cameras, *([STATE] if config.proprioception else [])])
         sizes = {name: frame_size(files.features[name], name) for name in cameras}
         for name, size in sizes.items():
-            if min(size) < config.image_size:
+            if config.frame_size and min(size) < config.frame_size:
                 raise DatasetError(
                     f"{files.root}: frames of {name!r} are {size[0]} x {size[1]} pixels, image_size asks for "
-                    f"{config.image_size}. Set image_size to at most {min(min(s) for s in sizes.values())}."
+                    f"{config.frame_size}. Set image_size to at most {min(min(s) for s in sizes.values())}."
                 )
         if not config.proprioception:
             return cls(sizes, (), ())
@@ -104,7 +104,7 @@ class DatasetInputs:
     Args:
         root: Folder of a LeRobotDataset, whole on this machine.
         modalities: What to fetch.
-        image_size: Side of the images in a batch (pixels).
+        image_size: Side of the images in a batch (pixels); None leaves them as they are stored.
         cache_dir: Folder of the decoded frames; LeRobot's home where None.
 
     Attributes:
@@ -116,7 +116,9 @@ class DatasetInputs:
         DatasetError: Rows are missing, the state is not finite, or frames cannot be decoded.
     """
 
-    def __init__(self, root: Path, modalities: Modalities, image_size: int, cache_dir: Path | None = None) -> None:
+    def __init__(
+        self, root: Path, modalities: Modalities, image_size: int | None, cache_dir: Path | None = None
+    ) -> None:
         table = read_table(root, [STATE] if modalities.state_dims else [])
         require_whole(table)
         self.starts, self.ends = table.starts, table.ends
@@ -140,6 +142,11 @@ class DatasetInputs:
         """Number of frames of the dataset."""
         return int(self.ends[-1]) if len(self.ends) else 0
 
+    def frames_of(self, episodes: IntArray) -> IntArray:
+        """Lists the absolute indices of all frames of some episodes, ``(N,)``."""
+        ranges = [np.arange(self.starts[e], self.ends[e], dtype=np.int64) for e in episodes]
+        return np.concatenate(ranges) if ranges else np.empty(0, dtype=np.int64)
+
     def batch(self, indices: IntArray, device: torch.device) -> dict[str, Tensor]:
         """Fetches frames.
 
@@ -148,7 +155,7 @@ class DatasetInputs:
             device: Where to put them.
 
         Returns:
-            Cameras ``(B, 3, S, S)`` float32 in [0, 1] and, if fused, `PROPRIOCEPTION` ``(B, D)`` float32.
+            Cameras ``(B, 3, H, W)`` float32 in [0, 1] and, if fused, `PROPRIOCEPTION` ``(B, D)`` float32.
         """
         batch = {name: self._images(frames[indices], device) for name, frames in self._frames.items()}
         if self._state is not None:
@@ -169,6 +176,6 @@ class DatasetInputs:
 
     def _images(self, frames: NDArray[Any], device: torch.device) -> Tensor:
         images = torch.from_numpy(frames).to(device).contiguous(memory_format=torch.channels_last).float().div_(255)
-        if images.shape[-2:] == (self._image_size, self._image_size):
+        if self._image_size is None or images.shape[-2:] == (self._image_size, self._image_size):
             return images
         return functional.interpolate(images, size=(self._image_size, self._image_size), mode="area")

@@ -61,7 +61,8 @@ def _stage_count(size: int) -> int:
 
 
 def _gaussian_of(raw: Tensor) -> Gaussian:
-    mean, variance = raw.chunk(2, dim=1)
+    # Under mixed precision the encoders end in bfloat16, too coarse for precisions, their product and the KL.
+    mean, variance = raw.float().chunk(2, dim=1)
     return Gaussian(mean, functional.softplus(variance) + MIN_VARIANCE)
 
 
@@ -205,6 +206,10 @@ class FusionNetwork(nn.Module):
         if self.has_proprioception:
             experts.append(self.proprioception_encoder(self._standardised(batch)))
         return product_of_experts(experts)
+
+    def latents(self, batch: Mapping[str, Tensor]) -> Tensor:
+        """Computes the latent of every frame, ``(B, z)``: the mean of the posterior (code)."""
+        return self.encode(batch).mean
 
     def decode(self, latent: Tensor) -> dict[str, Tensor]:
         """Reconstructs every modality from ``(B, z)``; proprioception comes back standardised."""

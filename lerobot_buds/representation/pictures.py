@@ -6,10 +6,11 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from lerobot_buds.core import write_atomically
+from lerobot_buds.core import ConfigError, write_atomically
 
-from .encoding import Representation
 from .inputs import DatasetInputs
+from .network import FusionNetwork
+from .trained import Representation
 
 
 @torch.no_grad()
@@ -20,20 +21,24 @@ def draw_reconstructions(
 
     Args:
         root: Folder of a LeRobotDataset, whole on this machine.
-        representation: A trained representation with at least one camera.
+        representation: A trained auto-encoder with at least one camera.
         path: PNG file to write, atomically.
         columns: Number of frames.
         cache_dir: Folder of the decoded frames; LeRobot's home where None.
 
     Raises:
+        ConfigError: The representation reconstructs no images, see `Representation.draws`.
         CheckpointError: The dataset's cameras or state differ from those the representation was trained on.
         DatasetError: The dataset is damaged or incomplete.
     """
+    network = representation.network
+    if not representation.draws or not isinstance(network, FusionNetwork):
+        raise ConfigError("this representation reconstructs no images: it has a backbone, or no camera.")
     representation.modalities.require_same(root)
-    inputs = DatasetInputs(root, representation.modalities, representation.config.image_size, cache_dir)
+    inputs = DatasetInputs(root, representation.modalities, representation.config.frame_size, cache_dir)
     indices = np.linspace(0, inputs.n_frames - 1, columns).astype(np.int64)
     batch = inputs.batch(indices, torch.device("cpu"))
-    decoded = representation.network.decode(representation.network.encode(batch).mean)
+    decoded = network.decode(network.latents(batch))
     cameras = list(representation.modalities.cameras)
     rows = [
         (f"{name.rpartition('.')[2]}\n{kind}", images[name])

@@ -18,8 +18,8 @@ from lerobot_buds.representation import (
     draw_reconstructions,
     encode_dataset,
 )
-from lerobot_buds.representation.encoding import RECORD_FILE, WEIGHTS_FILE
 from lerobot_buds.representation.inputs import DatasetInputs
+from lerobot_buds.representation.trained import RECORD_FILE, WEIGHTS_FILE
 
 CONFIG = RepresentationConfig(image_size=16, latent_dim=4, device="cpu")
 

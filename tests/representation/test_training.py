@@ -6,8 +6,9 @@ import pytest
 
 from lerobot_buds.core import ConfigError, DatasetError
 from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
-from lerobot_buds.representation.encoding import RECORD_FILE, WEIGHTS_FILE
-from lerobot_buds.representation.training import CHECKPOINT_FILE, _Run, split_episodes
+from lerobot_buds.representation.run import CHECKPOINT_FILE, TrainingRun
+from lerobot_buds.representation.trained import RECORD_FILE, WEIGHTS_FILE
+from lerobot_buds.representation.training import split_episodes
 
 SMALL = RepresentationConfig(
     image_size=16, latent_dim=4, steps=30, batch_size=16, checkpoint_interval=10, validation_fraction=0.25, device="cpu"
@@ -26,15 +27,15 @@ def train_until_killed(
     monkeypatch: pytest.MonkeyPatch, root: Path, config: RepresentationConfig, run: Path, cache: Path
 ) -> None:
     """Dies before step 25, after the checkpoint of step 20."""
-    whole_step = _Run.step
+    whole_step = TrainingRun.step
 
-    def step_or_die(self: _Run, step: int) -> None:
+    def step_or_die(self: TrainingRun, step: int) -> None:
         if step == 25:
             raise Killed
         whole_step(self, step)
 
     with monkeypatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(_Run, "step", step_or_die)
+        patch.setattr(TrainingRun, "step", step_or_die)
         train_representation(root, config, run, cache)
 
 
@@ -46,7 +47,7 @@ def unbroken(toy_root: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[
 
 
 def test_training_reduces_training_and_validation_loss(toy_root: Path, tmp_path: Path) -> None:
-    config = replace(SMALL, steps=150, checkpoint_interval=1)
+    config = replace(SMALL, steps=150, checkpoint_interval=1, patience=0)
     losses = train_representation(toy_root, config, tmp_path / "run", tmp_path).losses
     assert len(losses) == 150 and losses[-1]["step"] == 150
     for name in ("training/loss", "validation/loss", "training/observation.images.wrist", "training/proprioception"):
@@ -74,9 +75,9 @@ def test_killed_and_resumed_equals_unbroken(
     train_until_killed(monkeypatch, toy_root, SMALL, tmp_path / "run", cache)
     assert (tmp_path / "run" / CHECKPOINT_FILE).exists()
     done: list[int] = []
-    whole_step = _Run.step
+    whole_step = TrainingRun.step
     with monkeypatch.context() as patch:
-        patch.setattr(_Run, "step", lambda self, step: (done.append(step), whole_step(self, step)))
+        patch.setattr(TrainingRun, "step", lambda self, step: (done.append(step), whole_step(self, step)))
         train_representation(toy_root, SMALL, tmp_path / "run", cache)
     assert done == list(range(20, 30))
     assert bytes_of(run) == bytes_of(tmp_path / "run")

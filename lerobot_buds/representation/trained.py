@@ -1,0 +1,198 @@
+"""A trained representation: its files, on this machine and on the Hub."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor
+
+from lerobot_buds.core import CheckpointError, read_json, sha256_of_json, write_atomically, write_json
+
+from .card import CARD_FILE, write_card
+from .configuration import RepresentationConfig
+from .frozen import FrozenFeatures
+from .hub import download, upload
+from .inputs import Modalities
+from .network import FusionNetwork
+from .reports import Report
+
+VERSION = 2  # 2: early stopping, backbones
+RECORD_FILE = "representation.json"
+WEIGHTS_FILE = "representation.safetensors"
+
+
+@dataclass(frozen=True)
+class Representation:
+    """A network with everything needed to use it again.
+
+    Attributes:
+        network: The trained network, on the CPU. `latents` is what both kinds have in common.
+        modalities: What it fuses.
+        config: How it was made.
+        training_key: Hash of configuration and data that it was trained with.
+        losses: One report per checkpoint; those after `kept_report` led to early stopping. Empty with a backbone.
+    """
+
+    network: FusionNetwork | FrozenFeatures
+    modalities: Modalities
+    config: RepresentationConfig
+    training_key: str = ""
+    losses: list[Report] = field(default_factory=list)
+
+    @classmethod
+    def untrained(
+        cls,
+        modalities: Modalities,
+        config: RepresentationConfig,
+        backbone_weights: Mapping[str, Tensor] | None = None,
+    ) -> "Representation":
+        """Makes a representation with seeded random weights; leaves the global random state as it was.
+
+        Args:
+            modalities: What to fuse.
+            config: Settings.
+            backbone_weights: Weights of the backbone, if there is one and it is not to be random.
+
+        Raises:
+            ConfigError: timm is not installed, or cannot build the backbone.
+        """
+        cameras, dims = tuple(modalities.cameras), len(modalities.state_dims)
+        network: FusionNetwork | FrozenFeatures
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            if config.backbone is None:
+                network = FusionNetwork(cameras, dims, config.image_size, config.latent_dim)
+            else:
+                network = FrozenFeatures(cameras, dims, config, backbone_weights)
+        return cls(network, modalities, config)
+
+    @property
+    def draws(self) -> bool:
+        """Whether images can be reconstructed from its latents."""
+        return isinstance(self.network, FusionNetwork) and bool(self.modalities.cameras)
+
+    @cached_property
+    def hash(self) -> str:
+        """Content hash of the weights and of what they are applied to; names caches of latents."""
+        weights = sha256(self._weights()).hexdigest()
+        return sha256_of_json({"weights": weights, "modalities": asdict(self.modalities), "version": VERSION})
+
+    def save(self, folder: Path) -> None:
+        """Writes ``representation.safetensors`` and ``representation.json``, each atomically, the record last.
+
+        A backbone's weights are among them, so that the two files are all that is needed anywhere.
+
+        Args:
+            folder: Created where missing.
+        """
+        weights = self._weights()
+        write_atomically(folder / WEIGHTS_FILE, lambda part: _write_bytes(part, weights))
+        record = {
+            "version": VERSION,
+            "config": asdict(self.config),
+            "modalities": asdict(self.modalities),
+            "training_key": self.training_key,
+            "weights_sha256": sha256(weights).hexdigest(),
+            "losses": self.losses,
+        }
+        write_json(folder / RECORD_FILE, record)
+
+    @classmethod
+    def load(cls, folder: Path) -> "Representation":
+        """Reads what `save` wrote.
+
+        Args:
+            folder: Folder with both files.
+
+        Raises:
+            CheckpointError: A file is missing or damaged, the two do not belong together, or are of a newer version.
+        """
+        try:
+            record = read_json(folder / RECORD_FILE)
+            content = (folder / WEIGHTS_FILE).read_bytes()
+        except (FileNotFoundError, ValueError) as error:
+            raise CheckpointError(f"{folder} holds no whole representation ({error}); train it again.") from error
+        modalities, config = _described(record, folder / RECORD_FILE)
+        if sha256(content).hexdigest() != record["weights_sha256"]:
+            raise CheckpointError(
+                f"{folder / WEIGHTS_FILE} is not the file that {RECORD_FILE} describes; train it again."
+            )
+        network = cls.untrained(modalities, config).network
+        try:
+            network.load_state_dict(load(content))
+        except (SafetensorError, RuntimeError) as error:
+            raise CheckpointError(
+                f"{folder / WEIGHTS_FILE} does not fit its record ({error}); train it again."
+            ) from error
+        return cls(network, modalities, config, record["training_key"], record["losses"])
+
+    @classmethod
+    def from_pretrained(cls, name: str | Path, revision: str | None = None) -> "Representation":
+        """Reads a representation from a folder or from the Hub.
+
+        Args:
+            name: Folder with both files, or a repository, for example ``"me/representation"``.
+            revision: Branch, tag or commit of the repository; the main branch where None.
+
+        Raises:
+            CheckpointError: There is none, it cannot be reached, or its files cannot be used.
+        """
+        if Path(name).is_dir():
+            return cls.load(Path(name))
+        return cls.load(download(str(name), [RECORD_FILE, WEIGHTS_FILE], revision))
+
+    def push_to_hub(self, repo_id: str, private: bool | None = None) -> str:
+        """Puts both files and a card into a repository of the Hub, which is created where it is missing.
+
+        Args:
+            repo_id: For example ``"me/representation"``.
+            private: Whether a new repository is private; None for the account's own default.
+
+        Returns:
+            Address of the repository.
+
+        Raises:
+            CheckpointError: The repository may not be written, or cannot be reached.
+        """
+        with TemporaryDirectory() as place:
+            folder = Path(place)
+            self.save(folder)
+            write_card(folder / CARD_FILE, read_json(folder / RECORD_FILE), repo_id)
+            names = [RECORD_FILE, WEIGHTS_FILE, CARD_FILE]
+            return upload(folder, names, repo_id, private, "Upload a representation")
+
+    def _weights(self) -> bytes:
+        weights: bytes = save({name: t.contiguous() for name, t in self.network.state_dict().items()})
+        return weights
+
+
+def _described(record: Any, path: Path) -> tuple[Modalities, RepresentationConfig]:
+    """Reads what a record says of the network, and makes sure that the rest of it is there."""
+    try:
+        if record["version"] > VERSION:
+            raise CheckpointError(
+                f"{path} has version {record['version']}, this package reads up to {VERSION}: update "
+                "lerobot_policy_buds."
+            )
+        stored = record["modalities"]
+        modalities = Modalities(
+            {name: (int(size[0]), int(size[1])) for name, size in stored["cameras"].items()},
+            tuple(stored["state_names"]),
+            tuple(stored["state_dims"]),
+        )
+        config = RepresentationConfig(**record["config"])
+        _ = record["weights_sha256"], record["training_key"], record["losses"]
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{path} is no record of a representation ({error!r}); train it again.") from error
+    return modalities, config
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
