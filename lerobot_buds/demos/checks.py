@@ -16,7 +16,6 @@ from .tables import DatasetFiles, FrameTable, read_table
 logger = logging.getLogger(__name__)
 
 TIME_TOLERANCE_S = 1e-4  # LeRobot's own tolerance between a row's timestamp and its video frame
-FPS_RANGE = (1, 1000)  # control rates outside are a mistake of the recorder
 CONSTANT_RANGE = 1e-6  # a dimension that moves less carries no information at float32 precision
 BLACK_LEVEL = 8  # a camera whose brightest pixel stays below saw nothing (of 255)
 SAMPLED_FRAMES = 64  # frames per camera looked at for blackness
@@ -51,8 +50,6 @@ def check_demonstrations(
     files.require([*cameras, *columns])
     for camera in cameras:
         frame_size(files.features[camera], camera)
-    if not FPS_RANGE[0] <= files.fps <= FPS_RANGE[1]:
-        raise DatasetError(f"{files.root}/meta/info.json: fps={files.fps} is outside {FPS_RANGE}; correct it.")
     table = read_table(root, [*columns, "timestamp", "frame_index", "episode_index"])
     require_whole(table)
     _check_clock(table)
