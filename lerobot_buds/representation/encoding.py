@@ -4,11 +4,11 @@ import json
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import torch
-from filelock import FileLock
 from lerobot.utils.constants import HF_LEROBOT_HOME
 from numpy.typing import NDArray
 from safetensors import SafetensorError
@@ -16,14 +16,17 @@ from safetensors.torch import load_file, save
 from tqdm import tqdm
 
 from lerobot_buds.core import (
+    DISTRIBUTION,
     CheckpointError,
     DatasetError,
     FloatArray,
     read_json,
+    refuse_newer,
     sha256_of_json,
     write_atomically,
     write_json,
 )
+from lerobot_buds.demos import make_once
 
 from .configuration import RepresentationConfig
 from .inputs import DatasetInputs, Modalities
@@ -32,6 +35,8 @@ from .network import FusionNetwork
 VERSION = 1
 RECORD_FILE = "representation.json"
 WEIGHTS_FILE = "representation.safetensors"
+
+_RETRAIN = "remove the folder and train it again"
 
 
 @dataclass(frozen=True)
@@ -75,9 +80,11 @@ class Representation:
             folder: Created where missing.
         """
         weights = self._weights()
-        write_atomically(folder / WEIGHTS_FILE, lambda part: _write_bytes(part, weights))
+        (folder / RECORD_FILE).unlink(missing_ok=True)  # a kill must not leave it beside the weights of another one
+        write_atomically(folder / WEIGHTS_FILE, lambda part: write_bytes(part, weights))
         record = {
             "version": VERSION,
+            "package_version": version(DISTRIBUTION),
             "config": asdict(self.config),
             "modalities": asdict(self.modalities),
             "training_key": self.training_key,
@@ -100,29 +107,28 @@ class Representation:
             record = read_json(folder / RECORD_FILE)
             content = (folder / WEIGHTS_FILE).read_bytes()
         except (FileNotFoundError, json.JSONDecodeError) as error:
-            raise CheckpointError(f"{folder} holds no whole representation ({error}); train it again.") from error
-        if record["version"] > VERSION:
-            raise CheckpointError(
-                f"{folder / RECORD_FILE} has version {record['version']}, this package reads up to {VERSION}: update "
-                "lerobot_policy_buds."
+            raise CheckpointError(f"{folder} holds no whole representation ({error}); {_RETRAIN}.") from error
+        try:
+            refuse_newer(
+                folder / RECORD_FILE, record["version"], VERSION, record.get("package_version"), CheckpointError
             )
-        if sha256(content).hexdigest() != record["weights_sha256"]:
-            raise CheckpointError(
-                f"{folder / WEIGHTS_FILE} is not the file that {RECORD_FILE} describes; train it again."
+            stored, known_hash = record["modalities"], record["weights_sha256"]
+            modalities = Modalities(
+                {name: (int(size[0]), int(size[1])) for name, size in stored["cameras"].items()},
+                tuple(stored["state_names"]),
+                tuple(stored["state_dims"]),
             )
-        stored = record["modalities"]
-        modalities = Modalities(
-            {name: (int(size[0]), int(size[1])) for name, size in stored["cameras"].items()},
-            tuple(stored["state_names"]),
-            tuple(stored["state_dims"]),
-        )
-        blank = cls.untrained(modalities, RepresentationConfig(**record["config"]))
+            blank = cls.untrained(modalities, RepresentationConfig(**record["config"]))
+        except (KeyError, TypeError, AttributeError) as error:
+            raise CheckpointError(
+                f"{folder / RECORD_FILE} is damaged ({type(error).__name__}: {error}); {_RETRAIN}."
+            ) from error
+        if sha256(content).hexdigest() != known_hash:
+            raise CheckpointError(f"{folder / WEIGHTS_FILE} is not the file that {RECORD_FILE} describes; {_RETRAIN}.")
         try:
             blank.network.load_state_dict(load_file(folder / WEIGHTS_FILE))
         except (SafetensorError, RuntimeError) as error:
-            raise CheckpointError(
-                f"{folder / WEIGHTS_FILE} does not fit its record ({error}); train it again."
-            ) from error
+            raise CheckpointError(f"{folder / WEIGHTS_FILE} does not fit its record ({error}); {_RETRAIN}.") from error
         return cls(blank.network, modalities, blank.config, record["training_key"], record["losses"])
 
     def _weights(self) -> bytes:
@@ -149,16 +155,13 @@ def encode_dataset(
     Raises:
         CheckpointError: The dataset's cameras or state differ from those the representation was trained on.
         DatasetError: The dataset is damaged or incomplete, or a latent is not finite.
+        StorageError: The cache cannot be written.
     """
     representation.modalities.require_same(root)
     inputs = DatasetInputs(root, representation.modalities, representation.config.image_size, cache_dir)
     key = sha256_of_json({"representation": representation.hash, "data": inputs.fingerprint, "batch_size": batch_size})
     path = (cache_dir or HF_LEROBOT_HOME / "buds_cache") / f"latents-{key[:32]}.npy"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_suffix(".lock")):
-        if not path.exists():
-            latents = _encode(inputs, representation, batch_size)
-            write_atomically(path, lambda part: _write_array(part, latents))
+    make_once(path, lambda part: _write_array(part, _encode(inputs, representation, batch_size)))
     latents = np.load(path, allow_pickle=False).astype(np.float64)
     return [latents[start:end] for start, end in zip(inputs.starts, inputs.ends, strict=True)]
 
@@ -172,17 +175,20 @@ def _encode(inputs: DatasetInputs, representation: Representation, batch_size: i
         indices = np.arange(start, min(start + batch_size, inputs.n_frames))
         latents[indices] = network.encode(inputs.batch(indices, device)).mean.cpu().numpy()
     network.to("cpu")
-    bad = np.flatnonzero(~np.isfinite(latents).all(axis=1))
+    bad = np.argwhere(~np.isfinite(latents))
     if len(bad):
-        episode = int(np.searchsorted(inputs.ends, bad[0], side="right"))
+        row, dim = bad[0]
+        episode = int(np.searchsorted(inputs.ends, row, side="right"))
         raise DatasetError(
-            f"the latent of episode {episode}, frame {bad[0] - inputs.starts[episode]} is not finite, nor are "
-            f"{len(bad) - 1} more; the representation is broken: train it again with a lower learning_rate."
+            f"the latent of episode {episode}, frame {row - inputs.starts[episode]}, dimension {dim} is "
+            f"{latents[row, dim]}, and {len(np.unique(bad[:, 0])) - 1} more frame(s) are affected; the representation "
+            "is broken: train it again with a lower learning_rate."
         )
     return latents
 
 
-def _write_bytes(path: Path, content: bytes) -> None:
+def write_bytes(path: Path, content: bytes) -> None:
+    """Fills a file."""
     path.write_bytes(content)
 
 

@@ -11,14 +11,14 @@ import numpy as np
 import torch
 from accelerate import Accelerator  # type: ignore[import-untyped]
 from safetensors import safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 from tqdm import tqdm
 
 from lerobot_buds.core import ConfigError, IntArray, sha256_of_json, write_atomically
 
 from .configuration import RepresentationConfig
-from .encoding import RECORD_FILE, VERSION, Representation
+from .encoding import RECORD_FILE, VERSION, Representation, write_bytes
 from .inputs import DatasetInputs, Modalities
 from .network import FusionNetwork
 
@@ -181,7 +181,8 @@ class _Run:
             tensors |= {f"optimizer/{number}/{name}": tensor for name, tensor in state.items()}
         tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
         metadata = {"key": key, "step": str(step), "losses": json.dumps(self.losses)}
-        write_atomically(path, lambda part: save_file(tensors, part, metadata))
+        content = save(tensors, metadata)
+        write_atomically(path, lambda part: write_bytes(part, content))  # safetensors' own errors hide a full disk
 
     def restore(self, path: Path, key: str) -> int:
         """Loads a checkpoint of this very run if there is one; returns the number of steps done."""
