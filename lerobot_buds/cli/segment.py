@@ -4,8 +4,8 @@ import logging
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from lerobot_buds.core import TRUE_STAGE, ConfigError, IntArray, frames_of_seconds
-from lerobot_buds.demos import DatasetFiles, check_demonstrations, read_table
+from lerobot_buds.core import ACTION, STATE, TRUE_STAGE, ConfigError, IntArray, frames_of_seconds, remove_leftovers
+from lerobot_buds.demos import DatasetFiles, check_demonstrations, only_writer, read_table
 from lerobot_buds.evaluation import Agreement, agreement
 from lerobot_buds.representation import (
     Representation,
@@ -14,7 +14,13 @@ from lerobot_buds.representation import (
     encode_dataset,
     train_representation,
 )
-from lerobot_buds.segmentation import DiscoveryConfig, SegmentationRecord, draw_timeline, write_segmented_dataset
+from lerobot_buds.segmentation import (
+    DiscoveryConfig,
+    SegmentationRecord,
+    check_target,
+    draw_timeline,
+    write_segmented_dataset,
+)
 
 from .running import dataset_root, parse, run
 
@@ -51,25 +57,50 @@ class SegmentConfig:
 
 
 def segment(config: SegmentConfig) -> SegmentationRecord:
-    """Runs the whole pass; an interrupted one goes on where it was.
+    """Runs the whole pass; an interrupted one goes on where it was. What cannot work is refused before the training.
 
     Raises:
-        DatasetError: The dataset is damaged or incomplete.
+        DatasetError: The dataset is damaged or incomplete, or another process is at the same work or output.
         SegmentationError: It cannot be segmented as asked, or the output exists.
+        StorageError: The working folder cannot be written.
         ConfigError: A setting cannot work.
     """
-    if not config.subgoal_horizon_s > 0:
-        raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
     root = local_root(config.repo_id, config.root)
     output_repo_id = config.output_repo_id or f"{config.repo_id}_skills"
     work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
+    output = dataset_root(output_repo_id, config.output_root)
+    _check(config, root, output, work_dir)
+    with only_writer(work_dir):
+        for folder in (work_dir, work_dir / "representation"):
+            remove_leftovers(folder)
+        record = _discover(config, root, work_dir)
+        write_segmented_dataset(root, output, output_repo_id, record)
+    logger.info("Pictures are in %s.", work_dir)
+    return record
+
+
+def _check(config: SegmentConfig, root: Path, output: Path, work_dir: Path) -> None:
+    """Refuses what cannot work, what takes least time to find out first."""
+    if not config.subgoal_horizon_s > 0:
+        raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
+    if work_dir.resolve().is_relative_to(root.resolve()):
+        raise ConfigError(f"work_dir={work_dir} lies in {root}, which is only read; choose a folder outside.")
     files = DatasetFiles(root)
-    check_demonstrations(root, cameras=config.representation.cameras)
+    config.discovery.build(files.fps).check([int(episode["length"]) for episode in files.episodes])
+    check_target(root, output)
+    # The actions are not used here, but the policy that learns from the result needs them.
+    columns = [*([STATE] if config.representation.proprioception else []), ACTION]
+    check_demonstrations(root, config.representation.cameras, columns)
+
+
+def _discover(config: SegmentConfig, root: Path, work_dir: Path) -> SegmentationRecord:
+    """Trains the representation, finds the skills in its latents and leaves the pictures in the working folder."""
+    files = DatasetFiles(root)
     representation = train_representation(root, config.representation, work_dir / "representation")
     if representation.modalities.cameras:
         draw_reconstructions(root, representation, work_dir / "reconstructions.png")
     latents = encode_dataset(root, representation)
-    fps = int(files.info["fps"])
+    fps = files.fps
     labels = config.discovery.build(fps).fit(latents).labels_
     stages = true_stages(root) if TRUE_STAGE in files.features else None
     scores = agreement(labels, stages, fps) if stages else None
@@ -84,8 +115,6 @@ def segment(config: SegmentConfig) -> SegmentationRecord:
         agreement=asdict(scores) if scores else None,
     )
     draw_timeline(work_dir / "timeline.png", labels, fps, stages, _title(record, scores))
-    write_segmented_dataset(root, dataset_root(output_repo_id, config.output_root), output_repo_id, record)
-    logger.info("Pictures are in %s.", work_dir)
     return record
 
 

@@ -20,7 +20,7 @@ from lerobot_buds.core import (
 
 from .partition import dissolve_short_skills, partition_segments, renumber
 from .temporal import temporal_segments
-from .tree import FEATURES, Feature, adjacent_distances, build_tree
+from .tree import FEATURES, Feature, adjacent_distances, build_tree, window_bounds
 
 logger = logging.getLogger(__name__)
 
@@ -91,6 +91,19 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         self.gamma = gamma
         self.random_state = random_state
 
+    def check(self, lengths: Sequence[int]) -> None:
+        """Refuses what cannot work whatever the latents are, so that it can be asked before there are any.
+
+        Args:
+            lengths: Frames of every demonstration.
+
+        Raises:
+            ConfigError: A parameter has a value that cannot work.
+            SegmentationError: `n_skills` is more than the trees of these demonstrations have bottom elements.
+        """
+        self._check_parameters()
+        self._check_enough([len(window_bounds(length, self.window)) for length in lengths])
+
     def fit(self, latents: Sequence[FloatArray], y: None = None, *, segments: Sequence[IntArray] | None = None) -> Self:
         """Discovers the skills of a set of demonstrations.
 
@@ -112,7 +125,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         episodes = _checked(latents)
         skills = self.n_skills or self.max_skills
         self.temporal_segments_ = self._segments(episodes, skills) if segments is None else _tiling(episodes, segments)
-        self._check_enough()
+        self._check_enough([len(bounds) for bounds in self.temporal_segments_])
         labels = partition_segments(
             episodes,
             self.temporal_segments_,
@@ -182,8 +195,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         if self.gamma is not None and not self.gamma > 0:
             raise ConfigError(f"Skill discovery: gamma = {self.gamma!r} cannot work; it must be positive.")
 
-    def _check_enough(self) -> None:
-        counts = [len(bounds) for bounds in self.temporal_segments_]
+    def _check_enough(self, counts: list[int]) -> None:
         if self.n_skills is not None and self.n_skills > sum(counts):
             raise SegmentationError(
                 f"n_skills = {self.n_skills} skills were asked for, but the {len(counts)} demonstrations have only "
