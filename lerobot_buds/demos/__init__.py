@@ -1,6 +1,6 @@
 """Demonstrations: scripted demonstrators, recording, reading and checking LeRobotDatasets."""
 
-from .checks import check_demonstrations, dimension_names, require_finite, require_whole
+from .checks import check_demonstrations, dimension_names, require_finite, require_videos, require_whole
 from .collection import read_collection
 from .frames import cached_frames, frame_size, frames_key
 from .pictures import draw_contact_sheet
@@ -21,5 +21,6 @@ __all__ = [
     "read_collection",
     "read_table",
     "require_finite",
+    "require_videos",
     "require_whole",
 ]

@@ -115,7 +115,7 @@ def _reserved(source_root: Path, target_root: Path) -> Iterator[None]:
 
 
 def _check_source(root: Path, record: SegmentationRecord) -> None:
-    from lerobot_buds.demos import read_table
+    from lerobot_buds.demos import DatasetFiles, read_table, require_videos, require_whole
 
     table = read_table(root, [])
     lengths = tuple((table.ends - table.starts).tolist())
@@ -125,12 +125,8 @@ def _check_source(root: Path, record: SegmentationRecord) -> None:
             f"frames at {record.source.fps} frames per second, but {root} holds {len(lengths)} with {sum(lengths)} at "
             f"{table.fps}, or their lengths differ. Segment this dataset again."
         )
-    missing = np.flatnonzero(~table.present)
-    if len(missing):
-        raise DatasetError(
-            f"{root} lacks {len(missing)} frames, the first is {table.locate(int(missing[0]))}. Download the whole "
-            "dataset before segmenting it."
-        )
+    require_whole(table)
+    require_videos(DatasetFiles(root))
 
 
 def _check_space(target: Path, needed: int) -> None:
@@ -166,7 +162,6 @@ def _stats(columns: dict[str, list[IntArray]]) -> dict[str, FeatureStats]:
     per_episode = [
         {name: get_feature_stats(values, axis=0, keepdims=True) for name, values in zip(columns, episode, strict=True)}
         for episode in zip(*columns.values(), strict=True)
-        if len(episode[0])
     ]
     stats: dict[str, FeatureStats] = aggregate_stats(per_episode)
     return {name: stats[name] for name in columns}  # aggregate_stats returns them in the order of a set

@@ -91,7 +91,7 @@ def test_damaged_newer_and_absent_files_are_refused(representation: Representati
         Representation.load(tmp_path)
     for damaged in ([record], {**record, "modalities": 3}, {**record, "config": {"depth": 3}}, {"version": 1}):
         (tmp_path / RECORD_FILE).write_text(json.dumps(damaged))
-        with pytest.raises(CheckpointError, match="is damaged .*remove the folder and train it again"):
+        with pytest.raises(CheckpointError, match=r"is damaged .*remove the folder and train it again"):
             Representation.load(tmp_path)
 
 
