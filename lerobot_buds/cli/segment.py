@@ -6,8 +6,8 @@ from pathlib import Path
 
 import torch
 
-from lerobot_buds.core import TRUE_STAGE, ConfigError, IntArray, frames_of_seconds
-from lerobot_buds.demos import DatasetFiles, check_demonstrations, read_table
+from lerobot_buds.core import ACTION, STATE, TRUE_STAGE, ConfigError, IntArray, frames_of_seconds, remove_leftovers
+from lerobot_buds.demos import DatasetFiles, check_demonstrations, only_writer, read_table
 from lerobot_buds.evaluation import Agreement, agreement
 from lerobot_buds.representation import (
     Representation,
@@ -16,7 +16,13 @@ from lerobot_buds.representation import (
     encode_dataset,
     train_representation,
 )
-from lerobot_buds.segmentation import DiscoveryConfig, SegmentationRecord, draw_timeline, write_segmented_dataset
+from lerobot_buds.segmentation import (
+    DiscoveryConfig,
+    SegmentationRecord,
+    check_target,
+    draw_timeline,
+    write_segmented_dataset,
+)
 
 from .running import dataset_root, parse, run
 
@@ -56,22 +62,46 @@ class SegmentConfig:
 
 
 def segment(config: SegmentConfig) -> SegmentationRecord | None:
-    """Runs the whole pass; an interrupted one goes on where it was.
+    """Runs the whole pass; an interrupted one goes on where it was. What cannot work is refused before the training.
 
     Returns:
         What was found; None in all but the first process of ``accelerate launch``, which share the training alone.
 
     Raises:
-        DatasetError: The dataset is damaged or incomplete.
+        DatasetError: The dataset is damaged or incomplete, or another process is at the same work or output.
         SegmentationError: It cannot be segmented as asked, or the output exists.
+        StorageError: The working folder cannot be written.
         ConfigError: A setting cannot work.
         CheckpointError: The representation cannot be had, or does not fit the dataset.
     """
-    if not config.subgoal_horizon_s > 0:
-        raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
     root = local_root(config.repo_id, config.root)
     output_repo_id = config.output_repo_id or f"{config.repo_id}_skills"
     work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
+    output = dataset_root(output_repo_id, config.output_root)
+    _check(config, root, output, work_dir)
+    with only_writer(work_dir):
+        for folder in (work_dir, work_dir / "representation"):
+            remove_leftovers(folder)
+        record = _discover(config, root, work_dir)
+        if record is not None:
+            write_segmented_dataset(root, output, output_repo_id, record)
+    logger.info("Pictures are in %s.", work_dir)
+    return record
+
+
+def _check(config: SegmentConfig, root: Path, output: Path, work_dir: Path) -> None:
+    """Refuses what cannot work, what takes least time to find out first."""
+    if not config.subgoal_horizon_s > 0:
+        raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
+    if work_dir.resolve().is_relative_to(root.resolve()):
+        raise ConfigError(f"work_dir={work_dir} lies in {root}, which is only read; choose a folder outside.")
+    files = DatasetFiles(root)
+    config.discovery.build(files.fps).check([int(episode["length"]) for episode in files.episodes])
+    check_target(root, output)
+
+
+def _discover(config: SegmentConfig, root: Path, work_dir: Path) -> SegmentationRecord | None:
+    """Trains the representation, finds the skills in its latents and leaves the pictures in the working folder."""
     files = DatasetFiles(root)
     representation = _representation(config, root, work_dir)
     if torch.distributed.is_initialized() and torch.distributed.get_rank() > 0:
@@ -79,7 +109,7 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
     if representation.draws:
         draw_reconstructions(root, representation, work_dir / "reconstructions.png")
     latents = encode_dataset(root, representation)
-    fps = int(files.info["fps"])
+    fps = files.fps
     labels = config.discovery.build(fps).fit(latents).labels_
     stages = true_stages(root) if TRUE_STAGE in files.features else None
     scores = agreement(labels, stages, fps) if stages else None
@@ -94,8 +124,6 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
         agreement=asdict(scores) if scores else None,
     )
     draw_timeline(work_dir / "timeline.png", labels, fps, stages, _title(record, scores))
-    write_segmented_dataset(root, dataset_root(output_repo_id, config.output_root), output_repo_id, record)
-    logger.info("Pictures are in %s.", work_dir)
     return record
 
 
@@ -131,8 +159,10 @@ def true_stages(root: Path) -> list[IntArray]:
 
 def _representation(config: SegmentConfig, root: Path, work_dir: Path) -> Representation:
     """Checks the demonstrations, and trains a representation on them or takes the finished one."""
+    # The actions are not used here, but the policy that learns from the result needs them.
     if config.representation_path is None:
-        check_demonstrations(root, cameras=config.representation.cameras)
+        columns = [*([STATE] if config.representation.proprioception else []), ACTION]
+        check_demonstrations(root, config.representation.cameras, columns)
         return train_representation(root, config.representation, work_dir / "representation")
     if config.representation != RepresentationConfig():
         raise ConfigError(
@@ -140,7 +170,8 @@ def _representation(config: SegmentConfig, root: Path, work_dir: Path) -> Repres
             "representation have no effect: leave out either it or representation.* (also in the settings file)."
         )
     representation = Representation.from_pretrained(config.representation_path)
-    check_demonstrations(root, cameras=list(representation.modalities.cameras))
+    columns = [*([STATE] if representation.modalities.state_dims else []), ACTION]
+    check_demonstrations(root, list(representation.modalities.cameras), columns)
     return representation
 
 

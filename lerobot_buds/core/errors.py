@@ -24,6 +24,10 @@ class CheckpointError(BudsError):
     """A checkpoint does not fit the data, the environment or the skill library it is used with."""
 
 
+class StorageError(BudsError, OSError):
+    """A file cannot be written: the disk is full, the folder is read-only, or is no folder."""
+
+
 class SimulatorError(BudsError):
     """The simulator is missing, of an unsupported version, or failed while running."""
 

@@ -1,5 +1,6 @@
 """Files that are either whole or absent: everything is written beside its target and renamed into place."""
 
+import glob
 import json
 import os
 import shutil
@@ -10,6 +11,11 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from .errors import BudsError, StorageError
+
+DISTRIBUTION = "lerobot_policy_buds"
+"""Name of this package as it is installed; underscores included, LeRobot finds it by them."""
+
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Creates or replaces one file so that a reader, or a kill, never sees half of it.
@@ -17,15 +23,24 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     Args:
         path: The file to create or replace; its folder is created where missing.
         write: Called with the temporary path that it must fill.
+
+    Raises:
+        StorageError: The file cannot be written; what was there before still is.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    part = _part_of(path)
     try:
-        write(part)
-        _sync(part)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            write(part)
+            _sync(part)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise StorageError(
+            f"{path} could not be written ({error}); nothing was left behind. Make room on its disk, or choose a "
+            "folder that can be written."
+        ) from error
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -56,12 +71,44 @@ def staged_directory(target: Path) -> Iterator[Path]:
         block raises.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    staging = target.with_name(f".{target.name}.{uuid.uuid4().hex[:8]}.part")
+    staging = _part_of(target)
     try:
         yield staging
         staging.replace(target)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def remove_leftovers(folder: Path, name: str = "*") -> None:
+    """Removes what writers that were killed left in a folder. Only for who keeps all other writers away by a lock.
+
+    Args:
+        folder: Where the targets lie, or would.
+        name: Name of the target, the leftovers of all targets by default.
+    """
+    literal = name if name == "*" else glob.escape(name)
+    for leftover in folder.glob(f".{literal}.{'[0-9a-f]' * 8}.part"):
+        if leftover.is_dir():
+            shutil.rmtree(leftover)
+        else:
+            leftover.unlink()
+
+
+def refuse_newer(path: Path, found: Any, known: int, writer: Any, error: type[BudsError]) -> None:
+    """Refuses one of this package's own files if a later version wrote it in a format that is not known here.
+
+    Args:
+        path: The file, for the message.
+        found: The number of its format; nothing is said about what is no number.
+        known: The newest format that can be read.
+        writer: Version of the package that wrote it.
+        error: Class of the error to raise.
+    """
+    if isinstance(found, int) and found > known:
+        raise error(
+            f"{path} has format {found}, this version of {DISTRIBUTION} reads up to {known}. "
+            f"Install {DISTRIBUTION}>={writer}."
+        )
 
 
 def sha256_of_file(path: Path) -> str:
@@ -76,6 +123,10 @@ def sha256_of_file(path: Path) -> str:
 def sha256_of_json(content: Any) -> str:
     """Hashes plain data by its canonical JSON, as a hexadecimal string; names caches by what determines them."""
     return sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def _part_of(target: Path) -> Path:
+    return target.with_name(f".{target.name}.{uuid.uuid4().hex[:8]}.part")
 
 
 def _sync(path: Path) -> None:

@@ -16,7 +16,6 @@ from .tables import DatasetFiles, FrameTable, read_table
 logger = logging.getLogger(__name__)
 
 TIME_TOLERANCE_S = 1e-4  # LeRobot's own tolerance between a row's timestamp and its video frame
-FPS_RANGE = (1, 1000)  # control rates outside are a mistake of the recorder
 CONSTANT_RANGE = 1e-6  # a dimension that moves less carries no information at float32 precision
 BLACK_LEVEL = 8  # a camera whose brightest pixel stays below saw nothing (of 255)
 SAMPLED_FRAMES = 64  # frames per camera looked at for blackness
@@ -51,8 +50,7 @@ def check_demonstrations(
     files.require([*cameras, *columns])
     for camera in cameras:
         frame_size(files.features[camera], camera)
-    if not FPS_RANGE[0] <= files.fps <= FPS_RANGE[1]:
-        raise DatasetError(f"{files.root}/meta/info.json: fps={files.fps} is outside {FPS_RANGE}; correct it.")
+    require_videos(files)
     table = read_table(root, [*columns, "timestamp", "frame_index", "episode_index"])
     require_whole(table)
     _check_clock(table)
@@ -74,22 +72,47 @@ def check_demonstrations(
 
 
 def require_whole(table: FrameTable) -> None:
-    """Refuses an empty dataset and a partial download.
+    """Refuses an empty dataset, an empty episode and a partial download.
 
     Args:
         table: Any table of the dataset.
 
     Raises:
-        DatasetError: There are no rows, or one is not there; names the first one.
+        DatasetError: There are no rows, an episode has none, or one is not there; names the first one.
     """
     if len(table.present) == 0:
         raise DatasetError(f"{table.root} holds no frames: record or download demonstrations first.")
+    empty = np.flatnonzero(table.starts == table.ends)
+    if len(empty):
+        raise DatasetError(
+            f"{table.root}: episode {empty[0]} has no frames, nor have {len(empty) - 1} more. LeRobot cannot load such "
+            "a dataset; record it again without them."
+        )
     if not table.present.all():
         first = table.locate(int(np.argmin(table.present)))
         raise DatasetError(
             f"{table.root}: {int((~table.present).sum())} of {len(table.present)} rows are not on this machine, the "
             f"first is {first}. Download the whole dataset."
         )
+
+
+def require_videos(files: DatasetFiles) -> None:
+    """Refuses a dataset that lacks video files, even of cameras that nobody will look at: LeRobot would download them.
+
+    Args:
+        files: The dataset.
+
+    Raises:
+        DatasetError: A video file is not there; names the first one and its episode.
+    """
+    for camera in (name for name, feature in files.features.items() if feature["dtype"] == "video"):
+        absent = [record for record in files.episodes if not files.video_path(record, camera).exists()]
+        if absent:
+            raise DatasetError(
+                f"{files.video_path(absent[0], camera)} is not there: episode {absent[0]['episode_index']} has "
+                f"{absent[0]['length']} rows but 0 frames of {camera!r}, and {len(absent) - 1} more episode(s) lack "
+                "theirs. Download the whole dataset."
+            )
 
 
 def require_finite(table: FrameTable, column: str, names: Sequence[str]) -> None:

@@ -16,15 +16,15 @@ from typing import Any
 
 import av
 import numpy as np
-from filelock import FileLock
 from lerobot.utils.constants import HF_LEROBOT_HOME
 from numpy.typing import NDArray
 from PIL import Image
 from tqdm import tqdm
 
-from lerobot_buds.core import DatasetError, sha256_of_file, sha256_of_json, write_atomically
+from lerobot_buds.core import DatasetError, sha256_of_file, sha256_of_json
 
 from .tables import DatasetFiles
+from .writing import make_once
 
 logger = logging.getLogger(__name__)
 
@@ -48,17 +48,14 @@ def cached_frames(root: Path, camera: str, cache_dir: Path | None = None) -> Fra
     Raises:
         DatasetError: The camera is missing, a video is damaged or holds fewer frames than its episodes have rows, or
             the disk is too small.
+        StorageError: The cache cannot be written.
     """
     files = DatasetFiles(root)
     files.require([camera])
     shape = (files.total_frames, 3, *frame_size(files.features[camera], camera))
     folder = cache_dir or HF_LEROBOT_HOME / "buds_cache"
     path = folder / f"{frames_key(root, camera)[:32]}.npy"
-    folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_suffix(".lock")):
-        if not path.exists():
-            _require_space(folder, int(np.prod(shape)), camera)
-            write_atomically(path, lambda part: _decode(files, camera, shape, part))
+    make_once(path, lambda part: _decode(files, camera, shape, part))
     frames: Frames = np.load(path, mmap_mode="r")
     return frames
 
@@ -125,6 +122,7 @@ def _require_space(folder: Path, needed: int, camera: str) -> None:
 
 
 def _decode(files: DatasetFiles, camera: str, shape: tuple[int, ...], part: Path) -> None:
+    _require_space(part.parent, int(np.prod(shape)), camera)
     frames: np.memmap[Any, np.dtype[np.uint8]] = np.lib.format.open_memmap(  # type: ignore[no-untyped-call]
         part, "w+", np.uint8, shape
     )

@@ -11,7 +11,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
 from tqdm import tqdm
 
 from lerobot_buds.core import (
@@ -27,12 +26,12 @@ from lerobot_buds.core import (
     write_json,
 )
 
-from .checks import FPS_RANGE, check_demonstrations
+from .checks import check_demonstrations
+from .collection import RECORD_VERSION
 from .hdf5 import Demonstrations, open_demonstrations
 from .hdf5_layouts import Source
-from .recording import RECORD_VERSION
-from .tables import DatasetFiles
-from .writing import camera_feature, create_dataset, sort_stats, vector_feature, write_episode
+from .tables import FPS_RANGE, DatasetFiles
+from .writing import camera_feature, create_dataset, only_writer, sort_stats, vector_feature, write_episode
 
 
 @dataclass(frozen=True)
@@ -84,14 +83,11 @@ def import_demonstrations(plan: Import, cache_dir: Path | None = None) -> Import
     with open_demonstrations(plan.source) as demonstrations:
         record = _record(plan, demonstrations)
         staging.mkdir(parents=True, exist_ok=True)
-        try:
-            with FileLock(plan.root.with_name(f".{plan.root.name}.lock")).acquire(blocking=False):
-                _claim(staging, record)
-                _stage(staging, plan, demonstrations)
-                warnings = _merge(staging, plan, list(demonstrations.lengths.values()), record, cache_dir)
-                shutil.rmtree(staging)
-        except Timeout:
-            raise DatasetError(f"Another process is writing {plan.root}; wait for it to end.") from None
+        with only_writer(plan.root):
+            _claim(staging, record)
+            _stage(staging, plan, demonstrations)
+            warnings = _merge(staging, plan, list(demonstrations.lengths.values()), record, cache_dir)
+            shutil.rmtree(staging)
         return Imported(len(demonstrations.lengths), sum(demonstrations.lengths.values()), warnings)
 
 

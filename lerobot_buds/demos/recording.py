@@ -45,12 +45,12 @@ from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettin
 
 from .attempts import Attempt, attempt_in_worker
 from .card import write_card
+from .collection import RECORD_VERSION
 from .pictures import draw_contact_sheet
 from .writing import camera_feature, create_dataset, sort_stats, vector_feature, write_episode
 
 logger = logging.getLogger(__name__)
 
-RECORD_VERSION = 2
 EVALUATION_SEEDS = 100_000
 """Seeds from here on are for evaluation, never for demonstrations."""
 

@@ -17,6 +17,11 @@ from numpy.typing import NDArray
 
 from lerobot_buds.core import DatasetError, IntArray, near_names, read_json
 
+FPS_RANGE = (1, 1000)
+"""Control rates outside are a mistake of the recorder (frames per second)."""
+
+_INFO_KEYS = ("fps", "features", "total_frames", "data_path")
+
 
 @dataclass(frozen=True)
 class FrameTable:
@@ -77,6 +82,9 @@ class DatasetFiles:
             raise DatasetError(f"{self.root} is no LeRobotDataset: {path} does not exist.") from error
         except json.JSONDecodeError as error:
             raise DatasetError(f"{path} is damaged ({error}); download or record the dataset again.") from error
+        absent = [key for key in _INFO_KEYS if key not in info]
+        if absent:
+            raise DatasetError(f"{path} is damaged (no {absent}); download or record the dataset again.")
         version = str(info.get("codebase_version", "unknown"))
         if not version.startswith("v3."):
             raise DatasetError(
@@ -92,8 +100,15 @@ class DatasetFiles:
 
     @property
     def fps(self) -> int:
-        """Frame rate (frames per second)."""
-        return int(self.info["fps"])
+        """Frame rate (frames per second).
+
+        Raises:
+            DatasetError: It is outside `FPS_RANGE`.
+        """
+        fps = int(self.info["fps"])
+        if not FPS_RANGE[0] <= fps <= FPS_RANGE[1]:
+            raise DatasetError(f"{self.root}/meta/info.json: fps={fps} is outside {FPS_RANGE}; correct it.")
+        return fps
 
     @property
     def total_frames(self) -> int:
@@ -153,7 +168,10 @@ class DatasetFiles:
         missing = [name for name in names if name not in self.features]
         if missing:
             lines = "\n".join(f"  {name!r}: {near_names(name, self.features)}" for name in missing)
-            raise DatasetError(f"{self.root} lacks {len(missing)} required feature(s):\n{lines}")
+            raise DatasetError(
+                f"{self.root} lacks {len(missing)} required feature(s); name others in the settings, or record them:"
+                f"\n{lines}"
+            )
 
     def shards(self, columns: Sequence[str]) -> Iterator[pa.Table]:
         """Reads the local parquet files one after the other.

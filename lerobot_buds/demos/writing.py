@@ -1,13 +1,15 @@
 """Writes episodes through LeRobot's own writer, with the settings that keep every frame and a quiet terminal."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from lerobot_buds.core import read_json, write_json
+from lerobot_buds.core import DatasetError, StorageError, read_json, remove_leftovers, write_atomically, write_json
 
 if TYPE_CHECKING:
     from lerobot.datasets import LeRobotDataset
@@ -23,6 +25,48 @@ def camera_feature(shape: tuple[int, ...], video: bool) -> dict[str, Any]:
 def vector_feature(names: Sequence[str]) -> dict[str, Any]:
     """Describes a float32 vector with one name per dimension for LeRobot."""
     return {"dtype": "float32", "shape": (len(names),), "names": list(names)}
+
+
+@contextmanager
+def only_writer(target: Path, wait: bool = False) -> Iterator[None]:
+    """Keeps other processes from writing the same folder or file; a killed one keeps nobody away.
+
+    Args:
+        target: What is written; the lock lies beside it.
+        wait: Waits for another process to end instead of refusing.
+
+    Raises:
+        DatasetError: Another process is writing it.
+        StorageError: There is no writing where it lies.
+    """
+    lock = FileLock(target.with_name(f".{target.name}.lock"), timeout=-1 if wait else 0)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout:
+        raise DatasetError(f"Another process is writing {target}; wait for it, or end it.") from None
+    except OSError as error:
+        raise StorageError(f"{target} cannot be written ({error}); choose a folder that can be.") from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def make_once(path: Path, write: Callable[[Path], None]) -> None:
+    """Writes a file of a cache unless it is there; of several processes that ask for it one writes, the others wait.
+
+    Args:
+        path: The file.
+        write: Called with the temporary path that it must fill.
+
+    Raises:
+        StorageError: It cannot be written.
+    """
+    with only_writer(path, wait=True):
+        if not path.exists():
+            remove_leftovers(path.parent, path.name)
+            write_atomically(path, write)
 
 
 def create_dataset(

@@ -8,15 +8,14 @@ from lerobot.utils.feature_utils import dataset_to_policy_features
 from torch import Tensor
 
 from lerobot_buds.core import (
-    COLLECTION_FILE,
     STATE,
     CheckpointError,
     ConfigError,
     near_names,
-    read_json,
     select_dims,
     sha256_of_json,
 )
+from lerobot_buds.demos import read_collection
 from lerobot_buds.envs import PROFILES
 from lerobot_buds.segmentation import load_labels
 
@@ -47,7 +46,7 @@ def settle_on_dataset(config: BudsConfig, meta: Any) -> None:
     labels = sha256_of_json([episode.sha256 for episode in record.episodes])
     config.segmentation = _agree("segmentation", config.segmentation, labels, meta.root, _OTHER_LABELS)
     config.fps = _agree("fps", config.fps, int(meta.fps), meta.root)
-    if (profile := _recorded_profile(Path(meta.root))) is not None:
+    if (profile := read_collection(Path(meta.root)).get("render_profile")) is not None:
         config.render_profile = _agree("render_profile", config.render_profile, profile, meta.root)
     names = state_names(meta.features)
     config.state_names = _agree("state_names", config.state_names or None, names, meta.root)
@@ -139,14 +138,6 @@ def check_render_profile(config: BudsConfig, given: Tensor | None) -> None:
             f"The policy was trained on images of the render profile {config.render_profile!r}, the environment draws "
             f"{drawn!r}. Use --env.render_profile={config.render_profile}."
         )
-
-
-def _recorded_profile(root: Path) -> str | None:
-    try:
-        profile: str | None = read_json(root / COLLECTION_FILE).get("render_profile")
-    except FileNotFoundError:
-        return None
-    return profile
 
 
 def _check_features(config: BudsConfig, meta: Any) -> None:

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from filelock import FileLock
 from lerobot.utils.constants import HF_LEROBOT_HOME
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from lerobot_buds.core import DatasetError, FloatArray, sha256_of_json, write_atomically
+from lerobot_buds.core import DatasetError, FloatArray, sha256_of_json
+from lerobot_buds.demos import make_once
 
 from .inputs import DatasetInputs
 from .trained import Representation
@@ -34,16 +34,13 @@ def encode_dataset(
     Raises:
         CheckpointError: The dataset's cameras or state differ from those the representation was trained on.
         DatasetError: The dataset is damaged or incomplete, or a latent is not finite.
+        StorageError: The cache cannot be written.
     """
     representation.modalities.require_same(root)
     inputs = DatasetInputs(root, representation.modalities, representation.config.frame_size, cache_dir)
     key = sha256_of_json({"representation": representation.hash, "data": inputs.fingerprint, "batch_size": batch_size})
     path = (cache_dir or HF_LEROBOT_HOME / "buds_cache") / f"latents-{key[:32]}.npy"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_suffix(".lock")):
-        if not path.exists():
-            latents = _encode(inputs, representation, batch_size)
-            write_atomically(path, lambda part: _write_array(part, latents))
+    make_once(path, lambda part: _write_array(part, _encode(inputs, representation, batch_size)))
     latents = np.load(path, allow_pickle=False).astype(np.float64)
     return [latents[start:end] for start, end in zip(inputs.starts, inputs.ends, strict=True)]
 
@@ -57,12 +54,14 @@ def _encode(inputs: DatasetInputs, representation: Representation, batch_size: i
             indices = np.arange(start, min(start + batch_size, inputs.n_frames))
             latents[indices] = network.latents(inputs.batch(indices, device)).cpu().numpy()
     network.to("cpu")
-    bad = np.flatnonzero(~np.isfinite(latents).all(axis=1))
+    bad = np.argwhere(~np.isfinite(latents))
     if len(bad):
-        episode = int(np.searchsorted(inputs.ends, bad[0], side="right"))
+        row, dim = bad[0]
+        episode = int(np.searchsorted(inputs.ends, row, side="right"))
         raise DatasetError(
-            f"the latent of episode {episode}, frame {bad[0] - inputs.starts[episode]} is not finite, nor are "
-            f"{len(bad) - 1} more; the representation is broken: train it again with a lower learning_rate."
+            f"the latent of episode {episode}, frame {row - inputs.starts[episode]}, dimension {dim} is "
+            f"{latents[row, dim]}, and {len(np.unique(bad[:, 0])) - 1} more frame(s) are affected; the representation "
+            "is broken: train it again with a lower learning_rate."
         )
     return latents
 

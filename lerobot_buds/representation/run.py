@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from accelerate import Accelerator  # type: ignore[import-untyped]
 from safetensors import safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 from tqdm import tqdm
 
@@ -185,7 +185,8 @@ class TrainingRun:
             tensors |= {f"optimizer/{number}/{name}": tensor for name, tensor in state.items()}
         tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
         metadata = {"key": key, "step": str(step), "losses": json.dumps(self.losses)}
-        write_atomically(path, lambda part: save_file(tensors, part, metadata))
+        content = save(tensors, metadata)
+        write_atomically(path, lambda part: part.write_bytes(content))  # safetensors' own errors hide a full disk
 
     def _restore(self, path: Path, key: str) -> int:
         """Loads a checkpoint of this very run if there is one; returns the number of steps done."""

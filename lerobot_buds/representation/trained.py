@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,7 +14,15 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from lerobot_buds.core import CheckpointError, read_json, sha256_of_json, write_atomically, write_json
+from lerobot_buds.core import (
+    DISTRIBUTION,
+    CheckpointError,
+    read_json,
+    refuse_newer,
+    sha256_of_json,
+    write_atomically,
+    write_json,
+)
 
 from .card import CARD_FILE, write_card
 from .configuration import RepresentationConfig
@@ -26,6 +35,8 @@ from .reports import Report
 VERSION = 2  # 2: early stopping, backbones
 RECORD_FILE = "representation.json"
 WEIGHTS_FILE = "representation.safetensors"
+
+_RETRAIN = "remove the folder and train it again"
 
 
 @dataclass(frozen=True)
@@ -93,9 +104,11 @@ class Representation:
             folder: Created where missing.
         """
         weights = self._weights()
-        write_atomically(folder / WEIGHTS_FILE, lambda part: _write_bytes(part, weights))
+        (folder / RECORD_FILE).unlink(missing_ok=True)  # a kill must not leave it beside the weights of another one
+        write_atomically(folder / WEIGHTS_FILE, lambda part: part.write_bytes(weights))
         record = {
             "version": VERSION,
+            "package_version": version(DISTRIBUTION),
             "config": asdict(self.config),
             "modalities": asdict(self.modalities),
             "training_key": self.training_key,
@@ -118,19 +131,15 @@ class Representation:
             record = read_json(folder / RECORD_FILE)
             content = (folder / WEIGHTS_FILE).read_bytes()
         except (FileNotFoundError, ValueError) as error:
-            raise CheckpointError(f"{folder} holds no whole representation ({error}); train it again.") from error
+            raise CheckpointError(f"{folder} holds no whole representation ({error}); {_RETRAIN}.") from error
         modalities, config = _described(record, folder / RECORD_FILE)
         if sha256(content).hexdigest() != record["weights_sha256"]:
-            raise CheckpointError(
-                f"{folder / WEIGHTS_FILE} is not the file that {RECORD_FILE} describes; train it again."
-            )
+            raise CheckpointError(f"{folder / WEIGHTS_FILE} is not the file that {RECORD_FILE} describes; {_RETRAIN}.")
         network = cls.untrained(modalities, config).network
         try:
             network.load_state_dict(load(content))
         except (SafetensorError, RuntimeError) as error:
-            raise CheckpointError(
-                f"{folder / WEIGHTS_FILE} does not fit its record ({error}); train it again."
-            ) from error
+            raise CheckpointError(f"{folder / WEIGHTS_FILE} does not fit its record ({error}); {_RETRAIN}.") from error
         return cls(network, modalities, config, record["training_key"], record["losses"])
 
     @classmethod
@@ -176,11 +185,7 @@ class Representation:
 def _described(record: Any, path: Path) -> tuple[Modalities, RepresentationConfig]:
     """Reads what a record says of the network, and makes sure that the rest of it is there."""
     try:
-        if record["version"] > VERSION:
-            raise CheckpointError(
-                f"{path} has version {record['version']}, this package reads up to {VERSION}: update "
-                "lerobot_policy_buds."
-            )
+        refuse_newer(path, record["version"], VERSION, record.get("package_version"), CheckpointError)
         stored = record["modalities"]
         modalities = Modalities(
             {name: (int(size[0]), int(size[1])) for name, size in stored["cameras"].items()},
@@ -190,9 +195,5 @@ def _described(record: Any, path: Path) -> tuple[Modalities, RepresentationConfi
         config = RepresentationConfig(**record["config"])
         _ = record["weights_sha256"], record["training_key"], record["losses"]
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{path} is no record of a representation ({error!r}); train it again.") from error
+        raise CheckpointError(f"{path} is damaged ({type(error).__name__}: {error}); {_RETRAIN}.") from error
     return modalities, config
-
-
-def _write_bytes(path: Path, content: bytes) -> None:
-    path.write_bytes(content)

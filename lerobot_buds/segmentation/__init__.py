@@ -11,7 +11,7 @@ from .settings import PRESETS, DiscoveryConfig, preset
 from .temporal import temporal_segments
 from .timeline import draw_timeline
 from .tree import TaskStructure, build_tree
-from .write import write_segmented_dataset
+from .write import check_target, write_segmented_dataset
 
 __all__ = [
     "PRESETS",
@@ -23,6 +23,7 @@ __all__ = [
     "TaskStructure",
     "build_tree",
     "check_labels",
+    "check_target",
     "draw_timeline",
     "load_labels",
     "preset",

@@ -13,7 +13,7 @@ from .checks import checked_latents, tiling
 from .partition import dissolve_short_skills, partition_segments, renumber
 from .selection import choose_n_skills
 from .temporal import SEARCHES, Search, temporal_segments
-from .tree import FEATURES, Feature, adjacent_distances, build_tree
+from .tree import FEATURES, Feature, adjacent_distances, build_tree, window_bounds
 
 logger = logging.getLogger(__name__)
 
@@ -91,6 +91,19 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         self.gamma = gamma
         self.random_state = random_state
 
+    def check(self, lengths: Sequence[int]) -> None:
+        """Refuses what cannot work whatever the latents are, so that it can be asked before there are any.
+
+        Args:
+            lengths: Frames of every demonstration.
+
+        Raises:
+            ConfigError: A parameter has a value that cannot work.
+            SegmentationError: `n_skills` is more than the trees of these demonstrations have bottom elements.
+        """
+        self._check_parameters()
+        self._check_enough([len(window_bounds(length, self.window)) for length in lengths])
+
     def fit(self, latents: Sequence[FloatArray], y: None = None, *, segments: Sequence[IntArray] | None = None) -> Self:
         """Discovers the skills of a set of demonstrations.
 
@@ -110,10 +123,10 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         """
         self._check_parameters()
         episodes = checked_latents(latents)
-        exact = self.n_skills if isinstance(self.n_skills, int) else None
+        exact = self._exact
         skills, self.scores_ = exact or self.max_skills, {}
         self.temporal_segments_ = self._cut(episodes, skills) if segments is None else tiling(episodes, segments)
-        self._check_enough(exact)
+        self._check_enough([len(bounds) for bounds in self.temporal_segments_])
         clustering: dict[str, Any] = {
             "num_keyframes": self.num_keyframes,
             "random_state": self.random_state,
@@ -148,8 +161,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             SegmentationError: A latent is not finite.
         """
         self._check_parameters()
-        exact = self.n_skills if isinstance(self.n_skills, int) else None
-        return self._cut(checked_latents(latents), exact or self.max_skills)
+        return self._cut(checked_latents(latents), self._exact or self.max_skills)
 
     def _cut(self, episodes: list[FloatArray], skills: int) -> list[IntArray]:
         wanted = self.segments_per_episode or 2 * skills
@@ -200,11 +212,14 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         if self.gamma is not None and not self.gamma > 0:
             raise ConfigError(f"Skill discovery: gamma = {self.gamma!r} cannot work; it must be positive.")
 
-    def _check_enough(self, n_skills: int | None) -> None:
-        counts = [len(bounds) for bounds in self.temporal_segments_]
-        if n_skills is not None and n_skills > sum(counts):
+    @property
+    def _exact(self) -> int | None:
+        return self.n_skills if isinstance(self.n_skills, int) else None
+
+    def _check_enough(self, counts: list[int]) -> None:
+        if self._exact is not None and self._exact > sum(counts):
             raise SegmentationError(
-                f"n_skills = {n_skills} skills were asked for, but the {len(counts)} demonstrations have only "
+                f"n_skills = {self.n_skills} skills were asked for, but the {len(counts)} demonstrations have only "
                 f"{sum(counts)} temporal segments. Lower n_skills to at most {sum(counts)}, shorten the window "
                 f"({self.window} frames) or the minimum segment length ({self.min_segment_length} frames), or add "
                 "demonstrations."

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_buds.core import (
+    DISTRIBUTION,
     SEGMENTATION_FILE,
     SKILL_ID,
     SUBGOAL_INDEX,
@@ -24,6 +25,7 @@ from lerobot_buds.core import (
     SegmentationError,
     labels_of,
     read_json,
+    refuse_newer,
     segments_of,
     subgoals_of,
     write_json,
@@ -32,7 +34,6 @@ from lerobot_buds.core import (
 SCHEMA_VERSION = 1
 """Raised whenever the record's meaning changes; older records are read, newer ones refused."""
 
-_DISTRIBUTION = "lerobot_policy_buds"
 _RERUN = "Re-run segmentation with lerobot-buds-segment on the unsegmented dataset as it is now."
 
 
@@ -95,7 +96,7 @@ class SegmentationRecord:
     representation: dict[str, Any] = field(default_factory=dict)
     agreement: dict[str, float] | None = None
     schema_version: int = SCHEMA_VERSION
-    package_version: str = field(default_factory=lambda: version(_DISTRIBUTION))
+    package_version: str = field(default_factory=lambda: version(DISTRIBUTION))
 
     @classmethod
     def of_labels(cls, labels: Sequence[IntArray], *, repo_id: str, fps: int, horizon: int, **description: Any) -> Self:
@@ -169,13 +170,10 @@ class SegmentationRecord:
             ) from error
         except ValueError as error:
             raise SegmentationError(f"{path} is damaged ({error}). {_RERUN}") from error
-        found = content.get("schema_version") if isinstance(content, dict) else None
-        if isinstance(found, int) and found > SCHEMA_VERSION:
-            raise SegmentationError(
-                f"{path} has format {found}, this version of {_DISTRIBUTION} reads up to {SCHEMA_VERSION}. "
-                f"Install {_DISTRIBUTION}>={content.get('package_version')}."
-            )
         try:
+            refuse_newer(
+                path, content["schema_version"], SCHEMA_VERSION, content.get("package_version"), SegmentationError
+            )
             return cls._of_json(content)
         except (KeyError, TypeError, ValueError) as error:
             raise SegmentationError(f"{path} is damaged ({type(error).__name__}: {error}). {_RERUN}") from error

@@ -4,7 +4,6 @@ Invariants: the source is only read; the target appears whole or not at all; the
 LeRobot is imported on use, so that importing this module stays cheap.
 """
 
-import glob
 import logging
 import shutil
 from collections.abc import Iterator
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from lerobot_buds.core import (
@@ -24,6 +22,7 @@ from lerobot_buds.core import (
     DatasetError,
     IntArray,
     SegmentationError,
+    remove_leftovers,
     staged_directory,
     subgoals_of,
 )
@@ -42,6 +41,21 @@ _SPARE_BYTES = 16 * 1024**2
 """Room for what is not copied: label columns, statistics, record, the file system's own needs."""
 
 
+def check_target(source_root: Path, target_root: Path) -> None:
+    """Refuses a labelled copy that could not be written; cheap, so that it can be asked before anything is learned.
+
+    Args:
+        source_root: Folder of the dataset to segment.
+        target_root: Folder to create.
+
+    Raises:
+        SegmentationError: The source is labelled already, or the target exists or lies in the source.
+        DatasetError: Another process is writing the target, its disk is too full, or it cannot be written.
+    """
+    with _reserved(source_root, target_root):
+        pass
+
+
 def write_segmented_dataset(
     source_root: Path, target_root: Path, target_repo_id: str, record: SegmentationRecord
 ) -> None:
@@ -57,41 +71,52 @@ def write_segmented_dataset(
         record: The segmentation, made from this source; its labels become the columns.
 
     Raises:
-        SegmentationError: The record does not fit the source, the source is labelled already, the target exists, or
-            another process is writing it.
-        DatasetError: The source is damaged or incomplete, or the target's disk is too full or cannot be written.
+        SegmentationError: The record does not fit the source, the source is labelled already, or the target exists or
+            lies in the source.
+        DatasetError: The source is damaged or incomplete, another process is writing the target, or its disk is too
+            full or cannot be written.
     """
-    _check_source(source_root, record)
+    with _reserved(source_root, target_root):
+        _check_source(source_root, record)
+        with staged_directory(target_root) as staging:
+            _write_columns(source_root, staging, target_repo_id, record)
+            _copy_records(source_root, staging)
+            record.write(staging)
+            load_labels(staging)
+    logger.info("Wrote %s with %d skills.", target_root, record.n_skills)
+
+
+@contextmanager
+def _reserved(source_root: Path, target_root: Path) -> Iterator[None]:
+    """Keeps a target that can be written for this process alone; says what a failure to write means."""
+    from lerobot_buds.demos import DatasetFiles, only_writer
+
+    labelled = [name for name in (SKILL_ID, SUBGOAL_INDEX) if name in DatasetFiles(source_root).features]
+    if labelled:
+        raise SegmentationError(
+            f"{source_root} already has the columns {labelled}. Segment the dataset that it was made from, or remove "
+            "the columns first (lerobot-edit-dataset, operation remove_feature)."
+        )
+    if target_root.resolve().is_relative_to(source_root.resolve()):
+        raise SegmentationError(f"{target_root} lies in {source_root}, which is only read; choose a target outside.")
     needed = sum(path.stat().st_size for path in source_root.rglob("*") if path.is_file()) + _SPARE_BYTES
     try:
-        with _only_writer(target_root):
+        with only_writer(target_root):
             if target_root.exists():
                 raise SegmentationError(f"{target_root} exists already; remove it, or choose another target folder.")
-            _remove_leftovers(target_root)
+            remove_leftovers(target_root.parent, target_root.name)
             _check_space(target_root, needed)
-            with staged_directory(target_root) as staging:
-                _write_columns(source_root, staging, target_repo_id, record)
-                _copy_records(source_root, staging)
-                record.write(staging)
-                load_labels(staging)
+            yield
     except OSError as error:
         raise DatasetError(
             f"{target_root} could not be written ({error}). It needs about {needed} bytes on a disk that can be "
             f"written; nothing was left behind, and {source_root} is untouched."
         ) from error
-    logger.info("Wrote %s with %d skills.", target_root, record.n_skills)
 
 
 def _check_source(root: Path, record: SegmentationRecord) -> None:
-    from lerobot_buds.demos import DatasetFiles, read_table
+    from lerobot_buds.demos import DatasetFiles, read_table, require_videos, require_whole
 
-    files = DatasetFiles(root)
-    labelled = [name for name in (SKILL_ID, SUBGOAL_INDEX) if name in files.features]
-    if labelled:
-        raise SegmentationError(
-            f"{root} already has the columns {labelled}. Segment the dataset that it was made from, or remove the "
-            "columns first (lerobot-edit-dataset, operation remove_feature)."
-        )
     table = read_table(root, [])
     lengths = tuple((table.ends - table.starts).tolist())
     if (lengths, table.fps) != (record.source.episode_lengths, record.source.fps):
@@ -100,34 +125,8 @@ def _check_source(root: Path, record: SegmentationRecord) -> None:
             f"frames at {record.source.fps} frames per second, but {root} holds {len(lengths)} with {sum(lengths)} at "
             f"{table.fps}, or their lengths differ. Segment this dataset again."
         )
-    missing = np.flatnonzero(~table.present)
-    if len(missing):
-        raise DatasetError(
-            f"{root} lacks {len(missing)} frames, the first is {table.locate(int(missing[0]))}. Download the whole "
-            "dataset before segmenting it."
-        )
-
-
-@contextmanager
-def _only_writer(target: Path) -> Iterator[None]:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(target.with_name(f".{target.name}.lock"), timeout=0)
-    try:
-        lock.acquire()
-    except Timeout as error:
-        raise SegmentationError(f"Another process is writing {target}; wait for it, or end it.") from error
-    try:
-        yield
-    finally:
-        lock.release()
-
-
-def _remove_leftovers(target: Path) -> None:
-    # Only called under the lock, so no staging folder of this target is in use.
-    pattern = f".{glob.escape(target.name)}.{'[0-9a-f]' * 8}.part"
-    for leftover in target.parent.glob(pattern):
-        logger.info("Removing %s, left behind by an interrupted write.", leftover)
-        shutil.rmtree(leftover)
+    require_whole(table)
+    require_videos(DatasetFiles(root))
 
 
 def _check_space(target: Path, needed: int) -> None:

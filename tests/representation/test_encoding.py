@@ -86,9 +86,22 @@ def test_damaged_newer_and_absent_files_are_refused(representation: Representati
         Representation.load(tmp_path)
     (tmp_path / WEIGHTS_FILE).write_bytes(weights)
     record = json.loads((tmp_path / RECORD_FILE).read_text())
-    (tmp_path / RECORD_FILE).write_text(json.dumps({**record, "version": 99}))
-    with pytest.raises(CheckpointError, match="version 99"):
+    (tmp_path / RECORD_FILE).write_text(json.dumps({**record, "version": 99, "package_version": "0.9.1"}))
+    with pytest.raises(CheckpointError, match=r"has format 99.*Install lerobot_policy_buds>=0\.9\.1"):
         Representation.load(tmp_path)
+    for damaged in ([record], {**record, "modalities": 3}, {**record, "config": {"depth": 3}}, {"version": 1}):
+        (tmp_path / RECORD_FILE).write_text(json.dumps(damaged))
+        with pytest.raises(CheckpointError, match=r"is damaged .*remove the folder and train it again"):
+            Representation.load(tmp_path)
+
+
+def test_an_older_record_is_read(representation: Representation, tmp_path: Path) -> None:
+    """What an older version did not write keeps its default."""
+    representation.save(tmp_path)
+    record = json.loads((tmp_path / RECORD_FILE).read_text())
+    del record["package_version"], record["config"]["checkpoint_interval"]
+    (tmp_path / RECORD_FILE).write_text(json.dumps({**record, "version": 0}))
+    assert Representation.load(tmp_path).hash == representation.hash
 
 
 def test_other_frame_sizes_and_states_are_refused(toy_root: Path, representation: Representation, cache: Path) -> None:
@@ -105,7 +118,7 @@ def test_latents_that_are_not_finite_are_refused(toy_root: Path, cache: Path) ->
     broken = Representation.untrained(Modalities.select(toy_root, CONFIG), CONFIG)
     with torch.no_grad():
         broken.network.proprioception_encoder.layers[0].weight.fill_(torch.nan)
-    with pytest.raises(DatasetError, match="latent of episode 0, frame 0 is not finite, nor are 41 more"):
+    with pytest.raises(DatasetError, match="latent of episode 0, frame 0, dimension 0 is nan, and 41 more frame"):
         encode_dataset(toy_root, broken, 8, cache)
 
 

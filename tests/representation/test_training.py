@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lerobot_buds.core import ConfigError, DatasetError
-from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
+from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation, trained
 from lerobot_buds.representation.run import CHECKPOINT_FILE, TrainingRun
 from lerobot_buds.representation.trained import RECORD_FILE, WEIGHTS_FILE
 from lerobot_buds.representation.training import split_episodes
@@ -100,6 +100,22 @@ def test_checkpoint_of_another_configuration_is_not_continued(
 ) -> None:
     run, cache = unbroken
     train_until_killed(monkeypatch, toy_root, replace(SMALL, seed=5), tmp_path, cache)
+    train_representation(toy_root, SMALL, tmp_path, cache)
+    assert bytes_of(run) == bytes_of(tmp_path)
+
+
+def test_a_kill_while_one_representation_replaces_another_leaves_no_mixture(
+    toy_root: Path, unbroken: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, cache = unbroken
+    train_representation(toy_root, replace(SMALL, steps=2), tmp_path, cache)
+
+    def die(*_: object) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(trained, "write_json", die)  # between the weights and their record
+        train_representation(toy_root, SMALL, tmp_path, cache)
     train_representation(toy_root, SMALL, tmp_path, cache)
     assert bytes_of(run) == bytes_of(tmp_path)
 

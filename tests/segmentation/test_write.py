@@ -116,7 +116,7 @@ def test_a_disk_that_fills_up_leaves_nothing(
 
 
 def test_a_second_writer_is_refused(source: Path, record: SegmentationRecord, tmp_path: Path) -> None:
-    with FileLock(tmp_path / ".x.lock"), pytest.raises(SegmentationError, match="Another process is writing"):
+    with FileLock(tmp_path / ".x.lock"), pytest.raises(DatasetError, match="Another process is writing"):
         write_segmented_dataset(source, tmp_path / "x", "test/x", record)
     assert beside(tmp_path / "x") == []
 
