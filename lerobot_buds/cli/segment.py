@@ -1,26 +1,30 @@
 """``lerobot-buds-segment``: discovers skills in a LeRobotDataset and writes a labelled copy of it."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-import torch
-
 from lerobot_buds.core import ACTION, STATE, TRUE_STAGE, ConfigError, IntArray, frames_of_seconds, remove_leftovers
 from lerobot_buds.demos import DatasetFiles, check_demonstrations, only_writer, read_table
-from lerobot_buds.evaluation import Agreement, agreement
+from lerobot_buds.evaluation import agreement
 from lerobot_buds.representation import (
     Representation,
     RepresentationConfig,
     draw_reconstructions,
-    encode_dataset,
+    is_main_process,
     train_representation,
 )
 from lerobot_buds.segmentation import (
+    DiscoveredSkills,
     DiscoveryConfig,
     SegmentationRecord,
+    SkillModel,
     check_target,
+    discover_skills,
+    draw_silhouettes,
     draw_timeline,
+    preset,
     write_segmented_dataset,
 )
 
@@ -60,6 +64,15 @@ class SegmentConfig:
     discovery: DiscoveryConfig = field(default_factory=DiscoveryConfig)
     """Settings of skill discovery."""
 
+    preset: str = "default"
+    """``paper`` or ``released`` make the settings of skill discovery follow those, wherever ours depart."""
+
+    library: str | None = None
+    """A segmented dataset, its folder or its repository on the Hub, whose skills are to be used instead of new ones."""
+
+    grow: bool = False
+    """Opens new skills for what is far from all skills of the library, which keep their numbers."""
+
 
 def segment(config: SegmentConfig) -> SegmentationRecord | None:
     """Runs the whole pass; an interrupted one goes on where it was. What cannot work is refused before the training.
@@ -72,19 +85,23 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
         SegmentationError: It cannot be segmented as asked, or the output exists.
         StorageError: The working folder cannot be written.
         ConfigError: A setting cannot work.
-        CheckpointError: The representation cannot be had, or does not fit the dataset.
+        CheckpointError: The representation or the library cannot be had, or does not fit the dataset.
     """
     root = local_root(config.repo_id, config.root)
     output_repo_id = config.output_repo_id or f"{config.repo_id}_skills"
     work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
     output = dataset_root(output_repo_id, config.output_root)
+    if not is_main_process(config.representation):
+        train_representation(root, config.representation, work_dir / "representation")
+        return None
     _check(config, root, output, work_dir)
     with only_writer(work_dir):
         for folder in (work_dir, work_dir / "representation"):
             remove_leftovers(folder)
-        record = _discover(config, root, work_dir)
-        if record is not None:
-            write_segmented_dataset(root, output, output_repo_id, record)
+        found = _discover(config, root, work_dir)
+        record = _record(config, DatasetFiles(root), found)
+        _draw(record, found, root, work_dir)
+        write_segmented_dataset(root, output, output_repo_id, record, found.model)
     logger.info("Pictures are in %s.", work_dir)
     return record
 
@@ -93,38 +110,79 @@ def _check(config: SegmentConfig, root: Path, output: Path, work_dir: Path) -> N
     """Refuses what cannot work, what takes least time to find out first."""
     if not config.subgoal_horizon_s > 0:
         raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
+    if config.grow and config.library is None:
+        raise ConfigError("grow=true opens new skills beside those of a library, but there is no library.")
     if work_dir.resolve().is_relative_to(root.resolve()):
         raise ConfigError(f"work_dir={work_dir} lies in {root}, which is only read; choose a folder outside.")
+    for name, place, unused in (
+        ("library", config.library, ("representation", "discovery", "representation_path", "preset")),
+        ("representation_path", config.representation_path, ("representation",)),
+    ):
+        changed = [n for n in unused if getattr(config, n) != getattr(SegmentConfig(config.repo_id), n)]
+        if place is not None and changed:
+            raise ConfigError(
+                f"{name}={place!r} is used as it is, so that the settings {changed} have no effect: leave out either "
+                "it or them (also in the settings file)."
+            )
     files = DatasetFiles(root)
-    config.discovery.build(files.fps).check([int(episode["length"]) for episode in files.episodes])
+    _discovery(config).build(files.fps).check([int(episode["length"]) for episode in files.episodes])
     check_target(root, output)
 
 
-def _discover(config: SegmentConfig, root: Path, work_dir: Path) -> SegmentationRecord | None:
-    """Trains the representation, finds the skills in its latents and leaves the pictures in the working folder."""
-    files = DatasetFiles(root)
-    representation = _representation(config, root, work_dir)
-    if torch.distributed.is_initialized() and torch.distributed.get_rank() > 0:
-        return None
-    if representation.draws:
-        draw_reconstructions(root, representation, work_dir / "reconstructions.png")
-    latents = encode_dataset(root, representation)
-    fps = files.fps
-    labels = config.discovery.build(fps).fit(latents).labels_
-    stages = true_stages(root) if TRUE_STAGE in files.features else None
-    scores = agreement(labels, stages, fps) if stages else None
-    record = SegmentationRecord.of_labels(
-        labels,
+def _discover(config: SegmentConfig, root: Path, work_dir: Path) -> DiscoveredSkills:
+    """Labels the demonstrations with the skills of a library, or with those that are found in them."""
+    if config.library is not None:
+        model = SkillModel.from_pretrained(config.library)
+        _check_modalities(root, model.representation)
+        return model.label(root, config.grow)
+    if config.representation_path is not None:
+        representation = Representation.from_pretrained(config.representation_path)
+        _check_modalities(root, representation)
+        return discover_skills(root, representation, _discovery(config))
+    # The actions are not used here, but the policy that learns from the result needs them.
+    columns = [*([STATE] if config.representation.proprioception else []), ACTION]
+    check_demonstrations(root, config.representation.cameras, columns)
+    return discover_skills(root, config.representation, _discovery(config), work_dir)
+
+
+def _discovery(config: SegmentConfig) -> DiscoveryConfig:
+    return preset(config.preset, config.discovery)
+
+
+def _check_modalities(root: Path, representation: Representation) -> None:
+    modalities = representation.modalities
+    check_demonstrations(root, list(modalities.cameras), [*([STATE] if modalities.state_dims else []), ACTION])
+
+
+def _record(config: SegmentConfig, files: DatasetFiles, found: DiscoveredSkills) -> SegmentationRecord:
+    model, fps = found.model, files.fps
+    stages = true_stages(files.root) if TRUE_STAGE in files.features else None
+    library = config.library and {"name": config.library, "grown": config.grow}
+    return SegmentationRecord.of_labels(
+        found.labels,
         repo_id=config.repo_id,
         fps=fps,
         horizon=frames_of_seconds(config.subgoal_horizon_s, fps),
-        parameters=asdict(config.discovery),
-        seeds={"representation": representation.config.seed, "discovery": config.discovery.seed},
-        representation=_describe(representation),
-        agreement=asdict(scores) if scores else None,
+        n_skills=found.n_skills,
+        parameters=asdict(model.config),
+        seeds={"representation": model.representation.config.seed, "discovery": model.config.seed},
+        representation={"hash": model.representation.hash, **asdict(model.representation.config)},
+        agreement=asdict(agreement(found.labels, stages, fps)) if stages else None,
+        library=library or None,
+        silhouettes={str(count): score for count, score in found.scores.items()} or None,
     )
-    draw_timeline(work_dir / "timeline.png", labels, fps, stages, _title(record, scores))
-    return record
+
+
+def _draw(record: SegmentationRecord, found: DiscoveredSkills, root: Path, work_dir: Path) -> None:
+    if found.model.representation.draws:
+        draw_reconstructions(root, found.model.representation, work_dir / "reconstructions.png")
+    title = f"{record.source.repo_id}: {record.n_skills} skills in {len(record.episodes)} demonstrations"
+    if record.agreement:
+        title += f"\n{_in_words(record.agreement)} against the true stages"
+    stages = true_stages(root) if record.agreement else None
+    draw_timeline(work_dir / "timeline.png", found.labels, record.source.fps, stages, title)
+    if found.scores:
+        draw_silhouettes(work_dir / "n_skills.png", found.scores)
 
 
 def main() -> None:
@@ -137,7 +195,7 @@ def main() -> None:
     for number, skill in enumerate(record.skills):
         print(f"  skill {number}: {skill['segments']:.0f} segments of {skill['mean_seconds']:.1f} s on average")
     if record.agreement:
-        print("  agreement with the true stages: " + _in_words(Agreement(**record.agreement)))
+        print("  agreement with the true stages: " + _in_words(record.agreement))
 
 
 def local_root(repo_id: str, root: str | None) -> Path:
@@ -157,32 +215,5 @@ def true_stages(root: Path) -> list[IntArray]:
     return [column[start:end] for start, end in zip(table.starts, table.ends, strict=True)]
 
 
-def _representation(config: SegmentConfig, root: Path, work_dir: Path) -> Representation:
-    """Checks the demonstrations, and trains a representation on them or takes the finished one."""
-    # The actions are not used here, but the policy that learns from the result needs them.
-    if config.representation_path is None:
-        columns = [*([STATE] if config.representation.proprioception else []), ACTION]
-        check_demonstrations(root, config.representation.cameras, columns)
-        return train_representation(root, config.representation, work_dir / "representation")
-    if config.representation != RepresentationConfig():
-        raise ConfigError(
-            f"representation_path={config.representation_path!r} is used as it is, so that settings of a new "
-            "representation have no effect: leave out either it or representation.* (also in the settings file)."
-        )
-    representation = Representation.from_pretrained(config.representation_path)
-    columns = [*([STATE] if representation.modalities.state_dims else []), ACTION]
-    check_demonstrations(root, list(representation.modalities.cameras), columns)
-    return representation
-
-
-def _describe(representation: Representation) -> dict[str, object]:
-    return {"hash": representation.hash, **asdict(representation.config)}
-
-
-def _title(record: SegmentationRecord, scores: Agreement | None) -> str:
-    title = f"{record.source.repo_id}: {record.n_skills} skills in {len(record.episodes)} demonstrations"
-    return f"{title}\n{_in_words(scores)} against the true stages" if scores else title
-
-
-def _in_words(scores: Agreement) -> str:
-    return f"boundary F1 {scores.boundary_f1:.2f} (within {scores.tolerance_s} s), NMI {scores.nmi:.2f}"
+def _in_words(scores: Mapping[str, float]) -> str:
+    return f"boundary F1 {scores['boundary_f1']:.2f} (within {scores['tolerance_s']} s), NMI {scores['nmi']:.2f}"

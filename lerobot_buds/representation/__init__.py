@@ -2,16 +2,20 @@
 
 from .configuration import RepresentationConfig
 from .encoding import encode_dataset
+from .hub import download
 from .inputs import Modalities
 from .pictures import draw_reconstructions
-from .trained import Representation
-from .training import train_representation
+from .trained import REPRESENTATION_FILES, Representation
+from .training import is_main_process, train_representation
 
 __all__ = [
+    "REPRESENTATION_FILES",
     "Modalities",
     "Representation",
     "RepresentationConfig",
+    "download",
     "draw_reconstructions",
     "encode_dataset",
+    "is_main_process",
     "train_representation",
 ]

@@ -21,6 +21,10 @@ class RepresentationConfig:
     """Shell-style patterns of the ``observation.state`` names to fuse; none where empty. Where no name matches, all
     dimensions are used. Default: end effector position and gripper fingers (code)."""
 
+    proprioception_weight: float = 4.0
+    """How far apart proprioception puts two frames beside what is fused or seen: the ratio of their standard deviations
+    (ours, measured: docs/segmentation.md). 0 leaves what is fused as it is (paper)."""
+
     image_size: int = 128
     """Side of the square images the network sees (pixels), box-downscaled from the stored (128: code)."""
 
@@ -92,6 +96,8 @@ class RepresentationConfig:
             raise ConfigError(
                 f"learning_rate={self.learning_rate} must be positive and kl_weight={self.kl_weight} not negative."
             )
+        if self.proprioception_weight < 0:
+            raise ConfigError(f"proprioception_weight={self.proprioception_weight} must not be negative.")
         if not 0 <= self.validation_fraction < 1:
             raise ConfigError(f"validation_fraction={self.validation_fraction} must lie in [0, 1).")
         if self.patience < 0:

@@ -48,12 +48,13 @@ def encode_dataset(
 def _encode(inputs: DatasetInputs, representation: Representation, batch_size: int) -> NDArray[np.float32]:
     device = torch.device("cuda" if torch.cuda.is_available() and representation.config.device == "auto" else "cpu")
     network = representation.network.to(device)
-    latents = np.empty((inputs.n_frames, network.latent_dim), dtype=np.float32)
+    parts: list[NDArray[np.float32]] = []
     with torch.inference_mode():
         for start in tqdm(range(0, inputs.n_frames, batch_size), desc="encoding", unit="batch", leave=False):
             indices = np.arange(start, min(start + batch_size, inputs.n_frames))
-            latents[indices] = network.latents(inputs.batch(indices, device)).cpu().numpy()
+            parts.append(network.latents(inputs.batch(indices, device)).cpu().numpy())
     network.to("cpu")
+    latents = np.concatenate(parts)
     bad = np.argwhere(~np.isfinite(latents))
     if len(bad):
         row, dim = bad[0]

@@ -1,13 +1,14 @@
 """Frozen features of a pretrained network (timm) as a representation, in place of the auto-encoder.
 
-Every camera's pooled feature is reduced by principal components, proprioception is standardised, and each modality is
-scaled to the same total variance: hundreds of channels would drown a handful of joints. The pooling is the model's own
-(the class token of DINOv2, the mean over places of a ResNet); LOTUS shrinks the grid of tokens to one by nearest
-neighbour, which keeps the token in the corner and nothing else.
+Every camera's pooled feature is reduced by principal components and scaled to the same total variance, and
+proprioception is standardised and weighted: hundreds of channels would drown a handful of joints. The pooling is the
+model's own (the class token of DINOv2, the mean over places of a ResNet); LOTUS shrinks the grid of tokens to one by
+nearest neighbour, which keeps the token in the corner and nothing else.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from math import sqrt
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,7 @@ class FrozenFeatures(nn.Module):
         self.has_proprioception = proprioception_dims > 0
         if self.has_proprioception:
             self.proprioception_projection = Projection(proprioception_dims, proprioception_dims)
-        self.latent_dim = len(self.cameras) * self.components + proprioception_dims
+        self.proprioception_gain = config.proprioception_weight * sqrt(len(self.cameras))
         self.requires_grad_(False)
 
     def features(self, batch: Mapping[str, Tensor]) -> list[Tensor]:
@@ -99,10 +100,13 @@ class FrozenFeatures(nn.Module):
         return features
 
     def latents(self, batch: Mapping[str, Tensor]) -> Tensor:
-        """Computes the latent of every frame: ``(B, z)``, cameras in order, then proprioception."""
+        """Computes the latent of every frame, ``(B, z)``.
+
+        Every camera in order, scaled to a total variance of 1, then proprioception, weighted against all of them.
+        """
         parts = [project(x) for project, x in zip(self.camera_projections, self.features(batch), strict=True)]
-        if self.has_proprioception:
-            parts.append(self.proprioception_projection(batch[PROPRIOCEPTION]))
+        if self.has_proprioception and self.proprioception_gain:
+            parts.append(self.proprioception_gain * self.proprioception_projection(batch[PROPRIOCEPTION]))
         return torch.cat(parts, dim=1)
 
     @torch.no_grad()

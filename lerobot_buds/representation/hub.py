@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Literal
 
 import httpx
 from huggingface_hub import HfApi, snapshot_download
@@ -17,8 +18,10 @@ from huggingface_hub.errors import (
 from lerobot_buds.core import CheckpointError
 
 
-def download(repo_id: str, names: Sequence[str], revision: str | None = None) -> Path:
-    """Fetches files of a model repository into the Hub's cache; without a connection, looks there alone.
+def download(
+    repo_id: str, names: Sequence[str], revision: str | None = None, repo_type: Literal["model", "dataset"] = "model"
+) -> Path:
+    """Fetches files of a repository into the Hub's cache; without a connection, looks there alone.
 
     What huggingface_hub repeats by itself, it repeats, with growing pauses.
 
@@ -26,6 +29,7 @@ def download(repo_id: str, names: Sequence[str], revision: str | None = None) ->
         repo_id: For example ``"me/representation"``.
         names: The files; no other file of the repository is fetched.
         revision: Branch, tag or commit; the main branch where None.
+        repo_type: What the repository holds.
 
     Returns:
         Folder that holds the files, as far as the repository has them.
@@ -34,7 +38,7 @@ def download(repo_id: str, names: Sequence[str], revision: str | None = None) ->
         CheckpointError: The repository or the revision does not exist, may not be read, or cannot be reached.
     """
     with _in_one_sentence(repo_id, revision):
-        return Path(snapshot_download(repo_id, revision=revision, allow_patterns=list(names)))
+        return Path(snapshot_download(repo_id, revision=revision, repo_type=repo_type, allow_patterns=list(names)))
 
 
 def upload(folder: Path, names: Sequence[str], repo_id: str, private: bool | None, message: str) -> str:

@@ -6,7 +6,8 @@ standardised, and no leaky rectifier stands before the decoder's sigmoid, where 
 are no skip connections.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from math import sqrt
 from typing import NamedTuple
 
 import torch
@@ -171,15 +172,24 @@ class FusionNetwork(nn.Module):
         proprioception_dims: Size of the proprioceptive vector; 0 leaves the modality out.
         image_size: Side of the square images (pixels).
         latent_dim: Size of the latent z.
+        proprioception_weight: How much proprioception counts beside the fused latent, see `latents`.
     """
 
     proprioception_mean: Tensor
     proprioception_std: Tensor
+    latent_scale: Tensor
 
-    def __init__(self, cameras: Sequence[str], proprioception_dims: int, image_size: int, latent_dim: int) -> None:
+    def __init__(
+        self,
+        cameras: Sequence[str],
+        proprioception_dims: int,
+        image_size: int,
+        latent_dim: int,
+        proprioception_weight: float = 0.0,
+    ) -> None:
         super().__init__()
         self.cameras = tuple(cameras)
-        self.latent_dim = latent_dim
+        self.proprioception_weight = proprioception_weight
         self.image_scale = (REFERENCE_SIZE / image_size) ** 2
         # Module names must not hold dots, and camera names do: cameras are numbered in their order.
         self.image_encoders = nn.ModuleList(ImageEncoder(image_size, latent_dim) for _ in cameras)
@@ -190,6 +200,7 @@ class FusionNetwork(nn.Module):
             self.proprioception_decoder = ProprioceptionDecoder(proprioception_dims, latent_dim)
         self.register_buffer("proprioception_mean", torch.zeros(proprioception_dims))
         self.register_buffer("proprioception_std", torch.ones(proprioception_dims))
+        self.register_buffer("latent_scale", torch.ones(()))
         # Half the training time on CPUs, and one layout everywhere keeps results equal to the bit.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -208,8 +219,34 @@ class FusionNetwork(nn.Module):
         return product_of_experts(experts)
 
     def latents(self, batch: Mapping[str, Tensor]) -> Tensor:
-        """Computes the latent of every frame, ``(B, z)``: the mean of the posterior (code)."""
-        return self.encode(batch).mean
+        """Computes the latent of every frame: the mean of the posterior (code), and proprioception beside it (ours).
+
+        In the fused latent a few joints count next to nothing beside thousands of pixels.
+
+        Args:
+            batch: All modalities of the network.
+
+        Returns:
+            ``(B, z + D)``: the mean scaled to a total variance of 1, and the standardised proprioception to one of
+            ``proprioception_weight ** 2``; without the latter where the weight is 0.
+        """
+        fused = self.encode(batch).mean / self.latent_scale
+        if not (self.has_proprioception and self.proprioception_weight):
+            return fused
+        proprioception = self._standardised(batch)
+        gain = self.proprioception_weight / sqrt(proprioception.shape[1])
+        return torch.cat([fused, gain * proprioception], dim=1)
+
+    @torch.no_grad()
+    def fit(self, batches: Iterable[Mapping[str, Tensor]]) -> None:
+        """Fits the scale of the latents to some frames, after training.
+
+        Args:
+            batches: Batches of the frames.
+        """
+        means = torch.cat([self.encode(batch).mean.double() for batch in batches])
+        total = means.var(dim=0, correction=0).sum()
+        self.latent_scale.copy_(total.clamp(min=MIN_VARIANCE).sqrt())
 
     def decode(self, latent: Tensor) -> dict[str, Tensor]:
         """Reconstructs every modality from ``(B, z)``; proprioception comes back standardised."""

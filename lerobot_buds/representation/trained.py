@@ -32,9 +32,10 @@ from .inputs import Modalities
 from .network import FusionNetwork
 from .reports import Report
 
-VERSION = 2  # 2: early stopping, backbones
+VERSION = 2  # 2: early stopping, backbones, proprioception beside the fused latent
 RECORD_FILE = "representation.json"
 WEIGHTS_FILE = "representation.safetensors"
+REPRESENTATION_FILES = (RECORD_FILE, WEIGHTS_FILE)
 
 _RETRAIN = "remove the folder and train it again"
 
@@ -79,7 +80,9 @@ class Representation:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             if config.backbone is None:
-                network = FusionNetwork(cameras, dims, config.image_size, config.latent_dim)
+                network = FusionNetwork(
+                    cameras, dims, config.image_size, config.latent_dim, config.proprioception_weight
+                )
             else:
                 network = FrozenFeatures(cameras, dims, config, backbone_weights)
         return cls(network, modalities, config)
@@ -93,7 +96,8 @@ class Representation:
     def hash(self) -> str:
         """Content hash of the weights and of what they are applied to; names caches of latents."""
         weights = sha256(self._weights()).hexdigest()
-        return sha256_of_json({"weights": weights, "modalities": asdict(self.modalities), "version": VERSION})
+        modalities, beside = asdict(self.modalities), self.config.proprioception_weight
+        return sha256_of_json({"weights": weights, "modalities": modalities, "beside": beside, "version": VERSION})
 
     def save(self, folder: Path) -> None:
         """Writes ``representation.safetensors`` and ``representation.json``, each atomically, the record last.
@@ -136,8 +140,9 @@ class Representation:
         if sha256(content).hexdigest() != record["weights_sha256"]:
             raise CheckpointError(f"{folder / WEIGHTS_FILE} is not the file that {RECORD_FILE} describes; {_RETRAIN}.")
         network = cls.untrained(modalities, config).network
+        earlier = {"latent_scale": torch.ones(())} if record["version"] < 2 else {}
         try:
-            network.load_state_dict(load(content))
+            network.load_state_dict(earlier | load(content))
         except (SafetensorError, RuntimeError) as error:
             raise CheckpointError(f"{folder / WEIGHTS_FILE} does not fit its record ({error}); {_RETRAIN}.") from error
         return cls(network, modalities, config, record["training_key"], record["losses"])
@@ -155,7 +160,7 @@ class Representation:
         """
         if Path(name).is_dir():
             return cls.load(Path(name))
-        return cls.load(download(str(name), [RECORD_FILE, WEIGHTS_FILE], revision))
+        return cls.load(download(str(name), REPRESENTATION_FILES, revision))
 
     def push_to_hub(self, repo_id: str, private: bool | None = None) -> str:
         """Puts both files and a card into a repository of the Hub, which is created where it is missing.
@@ -174,8 +179,7 @@ class Representation:
             folder = Path(place)
             self.save(folder)
             write_card(folder / CARD_FILE, read_json(folder / RECORD_FILE), repo_id)
-            names = [RECORD_FILE, WEIGHTS_FILE, CARD_FILE]
-            return upload(folder, names, repo_id, private, "Upload a representation")
+            return upload(folder, [*REPRESENTATION_FILES, CARD_FILE], repo_id, private, "Upload a representation")
 
     def _weights(self) -> bytes:
         weights: bytes = save({name: t.contiguous() for name, t in self.network.state_dict().items()})
@@ -192,7 +196,8 @@ def _described(record: Any, path: Path) -> tuple[Modalities, RepresentationConfi
             tuple(stored["state_names"]),
             tuple(stored["state_dims"]),
         )
-        config = RepresentationConfig(**record["config"])
+        earlier = {"proprioception_weight": 0.0} if record["version"] < 2 else {}
+        config = RepresentationConfig(**(earlier | record["config"]))
         _ = record["weights_sha256"], record["training_key"], record["losses"]
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"{path} is damaged ({type(error).__name__}: {error}); {_RETRAIN}.") from error

@@ -20,7 +20,8 @@ from .trained import RECORD_FILE, VERSION, Representation
 logger = logging.getLogger(__name__)
 
 FIT_FRAMES = 4096
-"""Training frames at most that frozen features are fitted to (ours): enough for the covariance of their channels."""
+"""Training frames at most that projections and scales are fitted to (ours): enough for the covariance of a backbone's
+channels."""
 FIT_BATCH = 32
 _SPLIT, _FIT = 2, 4  # first numbers of seed sequences; the run has its own
 
@@ -65,8 +66,8 @@ def train_representation(
         run = TrainingRun(inputs, config, network, accelerator, training, validation)
         losses = run.complete(output_dir / CHECKPOINT_FILE, key)
     else:
-        _fit(network, inputs, training, config.seed, accelerator.device)
         losses = []
+    _fit(network, inputs, training, config.seed, accelerator.device)
     representation = Representation(network.to("cpu").eval(), modalities, config, key, losses)
     # No process may still look for a finished one when it appears, and none return before it is there.
     accelerator.wait_for_everyone()
@@ -75,6 +76,15 @@ def train_representation(
         (output_dir / CHECKPOINT_FILE).unlink(missing_ok=True)
     accelerator.wait_for_everyone()
     return representation
+
+
+def is_main_process(config: RepresentationConfig) -> bool:
+    """Tells whether this is the only process, or the first of ``accelerate launch``; only that one may write.
+
+    Args:
+        config: Settings of the representation that is trained.
+    """
+    return bool(PartialState(cpu=config.device == "cpu").is_main_process)
 
 
 def split_episodes(n_episodes: int, fraction: float, seed: int) -> tuple[IntArray, IntArray]:
@@ -108,7 +118,9 @@ def _accelerator(config: RepresentationConfig) -> Accelerator:
         ) from error
 
 
-def _fit(network: FrozenFeatures, inputs: DatasetInputs, frames: IntArray, seed: int, device: torch.device) -> None:
+def _fit(
+    network: FusionNetwork | FrozenFeatures, inputs: DatasetInputs, frames: IntArray, seed: int, device: torch.device
+) -> None:
     chosen = np.random.default_rng([_FIT, seed]).permutation(frames)[:FIT_FRAMES]
     network.to(device)
     batches = np.array_split(np.sort(chosen), -(-len(chosen) // FIT_BATCH))

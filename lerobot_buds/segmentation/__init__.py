@@ -3,9 +3,11 @@
 Importing this folder loads neither torch, LeRobot nor matplotlib; the functions that need them do.
 """
 
+from .curve import draw_silhouettes
 from .discovery import SkillDiscovery
 from .exemplars import read_library, write_library
 from .library import SkillLibrary
+from .model import DiscoveredSkills, SkillModel, discover_skills
 from .record import SegmentationRecord, SourceDescription, check_labels, load_labels
 from .settings import PRESETS, DiscoveryConfig, preset
 from .temporal import temporal_segments
@@ -15,15 +17,19 @@ from .write import check_target, write_segmented_dataset
 
 __all__ = [
     "PRESETS",
+    "DiscoveredSkills",
     "DiscoveryConfig",
     "SegmentationRecord",
     "SkillDiscovery",
     "SkillLibrary",
+    "SkillModel",
     "SourceDescription",
     "TaskStructure",
     "build_tree",
     "check_labels",
     "check_target",
+    "discover_skills",
+    "draw_silhouettes",
     "draw_timeline",
     "load_labels",
     "preset",

@@ -4,7 +4,7 @@ Old skills keep their numbers for ever; new ones are numbered behind them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -136,6 +136,19 @@ class SkillLibrary:
         labels = [np.repeat(skills, b[:, 1] - b[:, 0]) for skills, b in zip(per_episode, bounds, strict=True)]
         labels = dissolve_short_skills(latents, labels, min_length, self.num_keyframes, keep=range(self.n_skills))
         return self._compact(labels)
+
+    def with_demonstrations(
+        self, latents: Sequence[FloatArray], bounds: Sequence[IntArray], labels: Sequence[IntArray]
+    ) -> Self:
+        """Makes a library that has further demonstrations among its exemplars; for the arguments see `of`."""
+        n_skills = max(self.n_skills, 1 + max(int(episode.max()) for episode in labels if len(episode)))
+        new = type(self).of(latents, bounds, labels, n_skills, self.num_keyframes)
+        return replace(
+            new,
+            features=np.concatenate([self.features, new.features]),
+            skills=np.concatenate([self.skills, new.skills]),
+            episodes=np.concatenate([self.episodes, new.episodes + 1 + self.episodes.max(initial=-1)]),
+        )
 
     def _groups(self, features: FloatArray) -> IntArray:
         if len(features) < 2:

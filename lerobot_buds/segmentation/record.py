@@ -83,6 +83,8 @@ class SegmentationRecord:
         seeds: Seed of every random stage.
         representation: Description of the latents, with a hash of the weights or settings that made them.
         agreement: Scores against true stages, where these are known.
+        library: The segmented dataset whose skills were taken over, where there is one, and how many they were.
+        silhouettes: Where the number of skills was chosen, how well each number parts the segments.
         schema_version: Version of the record's format.
         package_version: Version of this package that wrote it.
     """
@@ -95,11 +97,22 @@ class SegmentationRecord:
     seeds: dict[str, int] = field(default_factory=dict)
     representation: dict[str, Any] = field(default_factory=dict)
     agreement: dict[str, float] | None = None
+    library: dict[str, Any] | None = None
+    silhouettes: dict[str, float] | None = None
     schema_version: int = SCHEMA_VERSION
     package_version: str = field(default_factory=lambda: version(DISTRIBUTION))
 
     @classmethod
-    def of_labels(cls, labels: Sequence[IntArray], *, repo_id: str, fps: int, horizon: int, **description: Any) -> Self:
+    def of_labels(
+        cls,
+        labels: Sequence[IntArray],
+        *,
+        repo_id: str,
+        fps: int,
+        horizon: int,
+        n_skills: int | None = None,
+        **description: Any,
+    ) -> Self:
         """Makes the record of new labels.
 
         Args:
@@ -107,11 +120,12 @@ class SegmentationRecord:
             repo_id: Name of the segmented dataset's source.
             fps: Frame rate (frames per second).
             horizon: Subgoal horizon H (frames), at least 1.
-            **description: Any of `parameters`, `seeds`, `representation` and `agreement`; plain data.
+            n_skills: Number of skills K, if some may not occur; as many as the labels have where None.
+            **description: Any of the attributes from `parameters` to `silhouettes`; plain data.
         """
         return cls(
             source=SourceDescription(repo_id, fps, tuple(len(episode) for episode in labels)),
-            n_skills=1 + max(int(episode.max()) for episode in labels if len(episode)),
+            n_skills=n_skills or 1 + max(int(episode.max()) for episode in labels if len(episode)),
             horizon=horizon,
             episodes=tuple(
                 EpisodeLabels(tuple(segments_of(e)), label_hash(e, subgoals_of(e, horizon) - np.arange(len(e))))

@@ -27,6 +27,7 @@ from lerobot_buds.core import (
     subgoals_of,
 )
 
+from .model import SkillModel
 from .record import SegmentationRecord, load_labels
 
 if TYPE_CHECKING:
@@ -57,7 +58,11 @@ def check_target(source_root: Path, target_root: Path) -> None:
 
 
 def write_segmented_dataset(
-    source_root: Path, target_root: Path, target_repo_id: str, record: SegmentationRecord
+    source_root: Path,
+    target_root: Path,
+    target_repo_id: str,
+    record: SegmentationRecord,
+    model: SkillModel | None = None,
 ) -> None:
     """Writes the labels of a record, with a copy of everything else, as a new dataset.
 
@@ -69,6 +74,7 @@ def write_segmented_dataset(
         target_root: Folder to create; its parent is created where missing.
         target_repo_id: Name of the new dataset.
         record: The segmentation, made from this source; its labels become the columns.
+        model: What labelled it, to label others with; left out where None.
 
     Raises:
         SegmentationError: The record does not fit the source, the source is labelled already, or the target exists or
@@ -82,6 +88,8 @@ def write_segmented_dataset(
             _write_columns(source_root, staging, target_repo_id, record)
             _copy_records(source_root, staging)
             record.write(staging)
+            if model is not None:
+                model.save(staging)
             load_labels(staging)
     logger.info("Wrote %s with %d skills.", target_root, record.n_skills)
 

@@ -8,8 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 from PIL import Image
+from safetensors.torch import load_file, save_file
 
-from lerobot_buds.core import CheckpointError, DatasetError
+from lerobot_buds.core import CheckpointError, DatasetError, read_json, sha256_of_file, write_json
 from lerobot_buds.demos import cached_frames
 from lerobot_buds.representation import (
     Modalities,
@@ -17,6 +18,7 @@ from lerobot_buds.representation import (
     RepresentationConfig,
     draw_reconstructions,
     encode_dataset,
+    train_representation,
 )
 from lerobot_buds.representation.inputs import DatasetInputs
 from lerobot_buds.representation.trained import RECORD_FILE, WEIGHTS_FILE
@@ -37,13 +39,40 @@ def representation(toy_root: Path) -> Representation:
 def test_latents_are_posterior_means_episode_by_episode(
     toy_root: Path, representation: Representation, cache: Path
 ) -> None:
+    dims = len(representation.modalities.state_dims)
     latents = encode_dataset(toy_root, representation, 8, cache)
     assert [len(h) for h in latents] == [12, 9, 10, 11]
-    assert all(h.dtype == np.float64 and h.shape[1] == 4 for h in latents)
+    assert all(h.dtype == np.float64 and h.shape[1] == 4 + dims for h in latents)
     inputs = DatasetInputs(toy_root, representation.modalities, 16, cache)
     with torch.no_grad():
         one = representation.network.encode(inputs.batch(np.array([15]), torch.device("cpu"))).mean
-    np.testing.assert_allclose(latents[1][3], one[0].numpy(), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(latents[1][3][:4], one[0].numpy(), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0, 3.0])
+def test_proprioception_counts_by_its_weight(toy_root: Path, cache: Path, tmp_path: Path, weight: float) -> None:
+    config = replace(CONFIG, steps=1, proprioception_weight=weight, validation_fraction=0.0)
+    trained = train_representation(toy_root, config, tmp_path, cache)
+    latents = np.concatenate(encode_dataset(toy_root, trained, 8, tmp_path))
+    fused, beside = latents[:, :4], latents[:, 4:]
+    assert beside.shape[1] == (len(trained.modalities.state_dims) if weight else 0)
+    assert fused.var(axis=0).sum() == pytest.approx(1, rel=1e-3)
+    assert beside.var(axis=0).sum() == pytest.approx(weight**2, rel=1e-3)
+
+
+def test_weights_of_the_first_version_give_the_fused_latent_alone(
+    toy_root: Path, representation: Representation, tmp_path: Path
+) -> None:
+    representation.save(tmp_path)
+    state = load_file(tmp_path / WEIGHTS_FILE)
+    del state["latent_scale"]
+    save_file(state, tmp_path / WEIGHTS_FILE)
+    record = read_json(tmp_path / RECORD_FILE)
+    del record["config"]["proprioception_weight"]
+    record |= {"version": 1, "weights_sha256": sha256_of_file(tmp_path / WEIGHTS_FILE)}
+    write_json(tmp_path / RECORD_FILE, record)
+    latents = encode_dataset(toy_root, Representation.load(tmp_path), 8, tmp_path / "cache")
+    assert latents[0].shape[1] == 4
 
 
 def test_latents_are_computed_once(toy_root: Path, representation: Representation, tmp_path: Path) -> None:

@@ -1,0 +1,171 @@
+"""What it takes to label demonstrations: a representation, settings, and a library of skills. Kept in ``meta/buds``.
+
+torch and LeRobot are imported on use, so that importing this module stays cheap.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from lerobot_buds.core import (
+    EXEMPLARS_FILE,
+    RECORD_DIR,
+    SEGMENTATION_FILE,
+    FloatArray,
+    IntArray,
+    SegmentationError,
+    frames_of_seconds,
+)
+
+from .exemplars import read_library, write_library
+from .library import SkillLibrary
+from .record import SegmentationRecord
+from .settings import DiscoveryConfig
+
+if TYPE_CHECKING:
+    from lerobot.datasets import LeRobotDataset
+
+    from lerobot_buds.representation import Representation, RepresentationConfig
+
+REPRESENTATION_DIR = f"{RECORD_DIR}/representation"
+
+
+@dataclass(frozen=True)
+class SkillModel:
+    """Labels demonstrations with known skills.
+
+    Attributes:
+        representation: Makes a latent of every frame.
+        config: Settings of skill discovery.
+        library: Exemplars of the skills.
+    """
+
+    representation: "Representation"
+    config: DiscoveryConfig
+    library: SkillLibrary
+
+    def label(self, dataset: "LeRobotDataset | Path", grow: bool = False) -> "DiscoveredSkills":
+        """Labels a dataset with the skills of the library.
+
+        Args:
+            dataset: A LeRobotDataset or its folder, whole on this machine, with the cameras and the state that the
+                representation was trained on.
+            grow: Opens new skills for what is far from all known ones.
+
+        Raises:
+            DatasetError: The dataset is damaged or incomplete.
+            CheckpointError: Its cameras or its state are not those of the representation.
+            SegmentationError: It has no frames.
+        """
+        latents, fps = _encoded(dataset, self.representation)
+        bounds = self.config.build(fps).cut(latents)
+        min_length = frames_of_seconds(self.config.min_skill_s, fps)
+        labels = self.library.label(latents, bounds, grow=grow, min_length=min_length)
+        library = self.library.with_demonstrations(latents, bounds, labels)
+        return DiscoveredSkills(labels, latents, SkillModel(self.representation, self.config, library))
+
+    def save(self, root: Path) -> None:
+        """Writes representation and exemplars into a segmented dataset; the settings are in its record.
+
+        Args:
+            root: Folder of the dataset.
+        """
+        self.representation.save(root / REPRESENTATION_DIR)
+        write_library(root, self.library)
+
+    @classmethod
+    def from_pretrained(cls, name: str | Path, revision: str | None = None) -> Self:
+        """Reads the skills of a segmented dataset, of which no more than these are fetched.
+
+        Args:
+            name: Folder of the dataset, or its repository on the Hub.
+            revision: Branch, tag or commit of the repository; the main branch where None.
+
+        Raises:
+            SegmentationError: The dataset holds no skills to label others with.
+            CheckpointError: The repository cannot be had, or the representation in it is damaged.
+        """
+        from lerobot_buds.representation import REPRESENTATION_FILES, Representation, download
+
+        root = Path(name)
+        if not root.is_dir():
+            files = [f"{REPRESENTATION_DIR}/{file}" for file in REPRESENTATION_FILES]
+            root = download(str(name), [SEGMENTATION_FILE, EXEMPLARS_FILE, *files], revision, repo_type="dataset")
+        record = SegmentationRecord.read(root)
+        try:
+            config = DiscoveryConfig(**record.parameters)
+        except TypeError as error:
+            raise SegmentationError(
+                f"{root / SEGMENTATION_FILE} has settings that this version does not know ({error}); segment that "
+                "dataset again."
+            ) from error
+        return cls(Representation.load(root / REPRESENTATION_DIR), config, read_library(root))
+
+
+@dataclass(frozen=True)
+class DiscoveredSkills:
+    """The skills of a dataset.
+
+    Attributes:
+        labels: ``(T,)`` int64 skill of every frame, per demonstration.
+        latents: ``(T, D)`` float64 latents, per demonstration.
+        model: Labels further datasets with these skills.
+        scores: With ``n_skills="auto"``, how well each number of clusters parts the segments; else empty.
+    """
+
+    labels: list[IntArray]
+    latents: list[FloatArray]
+    model: SkillModel
+    scores: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def n_skills(self) -> int:
+        """Number of skills K; not all of a library's need to occur."""
+        return self.model.library.n_skills
+
+
+def discover_skills(
+    dataset: "LeRobotDataset | Path",
+    representation: "Representation | RepresentationConfig | None" = None,
+    config: DiscoveryConfig | None = None,
+    work_dir: Path | None = None,
+) -> DiscoveredSkills:
+    """Discovers the skills of a dataset.
+
+    Args:
+        dataset: A LeRobotDataset or its folder, whole on this machine; it is only read.
+        representation: A trained representation, or settings of the one to train; default ones where None.
+        config: Settings of skill discovery; default ones where None.
+        work_dir: Keeps the representation that is trained, so that a second call does not train it again;
+            ``outputs/segment/`` and the dataset's folder name where None.
+
+    Raises:
+        DatasetError: The dataset is damaged or incomplete.
+        SegmentationError: It cannot be segmented as asked.
+        ConfigError: A setting cannot work.
+        CheckpointError: The representation does not fit the dataset.
+    """
+    from lerobot_buds.representation import Representation, RepresentationConfig, train_representation
+
+    root, config = _root(dataset), config or DiscoveryConfig()
+    if not isinstance(representation, Representation):
+        folder = (work_dir or Path("outputs/segment") / root.name) / "representation"
+        representation = train_representation(root, representation or RepresentationConfig(), folder)
+    latents, fps = _encoded(root, representation)
+    found = config.build(fps).fit(latents)
+    library = SkillLibrary.of(
+        latents, found.temporal_segments_, found.labels_, found.n_skills_, num_keyframes=config.num_keyframes
+    )
+    return DiscoveredSkills(found.labels_, latents, SkillModel(representation, config, library), found.scores_)
+
+
+def _root(dataset: "LeRobotDataset | Path") -> Path:
+    return dataset if isinstance(dataset, Path) else Path(dataset.root)
+
+
+def _encoded(dataset: "LeRobotDataset | Path", representation: "Representation") -> tuple[list[FloatArray], int]:
+    from lerobot_buds.demos import DatasetFiles
+    from lerobot_buds.representation import encode_dataset
+
+    root = _root(dataset)
+    return encode_dataset(root, representation), DatasetFiles(root).fps
