@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
-from sklearn.decomposition import PCA
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -27,7 +26,7 @@ from .hub import download
 from .network import PROPRIOCEPTION
 
 PUBLISHED_FILE = "model.safetensors"  # as every repository of timm's has it
-MIN_VARIANCE = 1e-12  # of a whole modality; under it the modality is constant and is left as it is
+MIN_VARIANCE = 1e-12  # of a camera's feature; under it the camera is black, and contributes zeros
 
 
 class Projection(nn.Module):
@@ -197,26 +196,28 @@ def _published(name: str) -> Any:
 
 
 def _principal_components(features: FloatArray, dims: int) -> dict[str, Tensor]:
+    from sklearn.decomposition import PCA  # seconds of importing that no auto-encoder needs
+
     if dims > min(features.shape):
         raise ConfigError(
             f"latent_dim={dims} components cannot be had from {len(features)} training frames of {features.shape[1]} "
             "channels; lower latent_dim."
         )
+    if features.var(axis=0).sum() < MIN_VARIANCE:
+        return _projection(features.mean(axis=0), np.zeros((features.shape[1], dims)))
     found = PCA(dims, svd_solver="covariance_eigh").fit(features)
-    return _projection(found.mean_, found.components_.T, float(found.explained_variance_.sum()))
+    return _projection(found.mean_, found.components_.T / np.sqrt(found.explained_variance_.sum()))
 
 
 def _standardising(values: FloatArray) -> dict[str, Tensor]:
     std = values.std(axis=0)
     moving = std > 1e-6  # constant dimensions stay at zero
     scale = np.divide(1.0, std, where=moving, out=np.zeros_like(std))
-    return _projection(values.mean(axis=0), np.diag(scale), float(moving.sum()))
+    return _projection(values.mean(axis=0), np.diag(scale / np.sqrt(max(moving.sum(), 1))))
 
 
-def _projection(mean: FloatArray, matrix: FloatArray, variance: float) -> dict[str, Tensor]:
-    """Makes the state of a `Projection` that divides by the root of a modality's total variance."""
-    scaled = matrix / np.sqrt(variance if variance > MIN_VARIANCE else 1.0)
-    return {"mean": torch.from_numpy(mean), "matrix": torch.from_numpy(scaled)}
+def _projection(mean: FloatArray, matrix: FloatArray) -> dict[str, Tensor]:
+    return {"mean": torch.from_numpy(mean), "matrix": torch.from_numpy(matrix)}
 
 
 def _timm() -> Any:

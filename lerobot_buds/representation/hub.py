@@ -1,7 +1,9 @@
 """Brings files to the Hugging Face Hub and from there: known names only, and one sentence for what goes wrong."""
 
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -17,13 +19,15 @@ from huggingface_hub.errors import (
 
 from lerobot_buds.core import CheckpointError
 
+PAUSES_S = (1.0, 2.0, 4.0)  # before a download is asked for again; huggingface_hub repeats uploads only
+
 
 def download(
     repo_id: str, names: Sequence[str], revision: str | None = None, repo_type: Literal["model", "dataset"] = "model"
 ) -> Path:
     """Fetches files of a repository into the Hub's cache; without a connection, looks there alone.
 
-    What huggingface_hub repeats by itself, it repeats, with growing pauses.
+    A Hub that answers with a status of 500 or more is asked a few times again.
 
     Args:
         repo_id: For example ``"me/representation"``.
@@ -38,7 +42,15 @@ def download(
         CheckpointError: The repository or the revision does not exist, may not be read, or cannot be reached.
     """
     with _in_one_sentence(repo_id, revision):
-        return Path(snapshot_download(repo_id, revision=revision, repo_type=repo_type, allow_patterns=list(names)))
+        fetch = partial(snapshot_download, repo_id, revision=revision, repo_type=repo_type, allow_patterns=list(names))
+        for pause in PAUSES_S:
+            try:
+                return Path(fetch())
+            except (HfHubHTTPError, LocalEntryNotFoundError) as error:
+                if (_status(error) or 0) < 500:
+                    raise
+                time.sleep(pause)
+        return Path(fetch())
 
 
 def upload(folder: Path, names: Sequence[str], repo_id: str, private: bool | None, message: str) -> str:
@@ -73,17 +85,24 @@ def _in_one_sentence(repo_id: str, revision: str | None = None) -> Iterator[None
             f"{repo_id!r} is neither a folder on this machine nor the name of a repository, such as 'user/name'."
         ) from error
     except RevisionNotFoundError as error:
-        raise CheckpointError(f"{repo_id!r} on the Hub has no revision {revision!r}.") from error
-    except HfHubHTTPError as error:
-        status = error.response.status_code
-        if status in (401, 403, 404):
-            raise CheckpointError(
-                f"{repo_id!r} is neither a folder on this machine nor a repository of the Hub that may be used here "
-                f"(status {status}); check the name, or log in with 'hf auth login'."
-            ) from error
-        raise CheckpointError(f"the Hub answered {status} to a request about {repo_id!r}; try again later.") from error
-    except (LocalEntryNotFoundError, OfflineModeIsEnabled, httpx.TransportError) as error:
-        raise CheckpointError(
-            f"{repo_id!r} is not on this machine, and the Hub cannot be reached; connect once to fetch it (or unset "
-            "HF_HUB_OFFLINE)."
-        ) from error
+        raise CheckpointError(f"{repo_id!r} has no revision {revision!r} on the Hub.") from error
+    except (HfHubHTTPError, LocalEntryNotFoundError, OfflineModeIsEnabled, httpx.TransportError) as error:
+        raise CheckpointError(_sentence(repo_id, _status(error))) from error
+
+
+def _status(error: BaseException) -> int | None:
+    """Reads what the Hub answered; None where it gave no answer."""
+    # huggingface_hub looks into its cache when the Hub fails; if that fails too, the answer is the cause.
+    answer = error if isinstance(error, HfHubHTTPError) else error.__cause__
+    return answer.response.status_code if isinstance(answer, HfHubHTTPError) else None
+
+
+def _sentence(repo_id: str, status: int | None) -> str:
+    if status is None:
+        return f"{repo_id!r} is not on this machine and the Hub cannot be reached: connect, and unset HF_HUB_OFFLINE."
+    if status in (401, 403, 404):
+        return (
+            f"{repo_id!r} is neither a folder on this machine nor a repository of the Hub that may be used from here "
+            f"(status {status}): check the name, or log in with 'hf auth login'."
+        )
+    return f"the Hub answered with status {status} when asked for {repo_id!r}: try again later."

@@ -7,7 +7,6 @@ are no skip connections.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from math import sqrt
 from typing import NamedTuple
 
 import torch
@@ -178,6 +177,7 @@ class FusionNetwork(nn.Module):
     proprioception_mean: Tensor
     proprioception_std: Tensor
     latent_scale: Tensor
+    proprioception_scale: Tensor
 
     def __init__(
         self,
@@ -201,6 +201,7 @@ class FusionNetwork(nn.Module):
         self.register_buffer("proprioception_mean", torch.zeros(proprioception_dims))
         self.register_buffer("proprioception_std", torch.ones(proprioception_dims))
         self.register_buffer("latent_scale", torch.ones(()))
+        self.register_buffer("proprioception_scale", torch.ones(()))
         # Half the training time on CPUs, and one layout everywhere keeps results equal to the bit.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -230,23 +231,22 @@ class FusionNetwork(nn.Module):
             ``(B, z + D)``: the mean scaled to a total variance of 1, and the standardised proprioception to one of
             ``proprioception_weight ** 2``; without the latter where the weight is 0.
         """
-        fused = self.encode(batch).mean / self.latent_scale
-        if not (self.has_proprioception and self.proprioception_weight):
-            return fused
-        proprioception = self._standardised(batch)
-        gain = self.proprioception_weight / sqrt(proprioception.shape[1])
-        return torch.cat([fused, gain * proprioception], dim=1)
+        fused, *proprioception = self._parts(batch)
+        gain = self.proprioception_weight / self.proprioception_scale
+        beside = [gain * part for part in proprioception if self.proprioception_weight]
+        return torch.cat([fused / self.latent_scale, *beside], dim=1)
 
     @torch.no_grad()
     def fit(self, batches: Iterable[Mapping[str, Tensor]]) -> None:
-        """Fits the scale of the latents to some frames, after training.
+        """Fits the scales of `latents` to some frames, after training.
 
         Args:
             batches: Batches of the frames.
         """
-        means = torch.cat([self.encode(batch).mean.double() for batch in batches])
-        total = means.var(dim=0, correction=0).sum()
-        self.latent_scale.copy_(total.clamp(min=MIN_VARIANCE).sqrt())
+        columns = zip(*(self._parts(batch) for batch in batches), strict=True)
+        for scale, parts in zip((self.latent_scale, self.proprioception_scale), columns, strict=False):
+            total = torch.cat(parts).double().var(dim=0, correction=0).sum()
+            scale.copy_(total.clamp(min=MIN_VARIANCE).sqrt())
 
     def decode(self, latent: Tensor) -> dict[str, Tensor]:
         """Reconstructs every modality from ``(B, z)``; proprioception comes back standardised."""
@@ -281,6 +281,10 @@ class FusionNetwork(nn.Module):
         terms["kl"] = kl_to_prior(posterior).mean()
         terms["loss"] = total + kl_weight * terms["kl"]
         return terms
+
+    def _parts(self, batch: Mapping[str, Tensor]) -> list[Tensor]:
+        """Computes the fused mean and, if it is fused, the standardised proprioception."""
+        return [self.encode(batch).mean, *([self._standardised(batch)] if self.has_proprioception else [])]
 
     def _standardised(self, batch: Mapping[str, Tensor]) -> Tensor:
         return (batch[PROPRIOCEPTION] - self.proprioception_mean) / self.proprioception_std

@@ -38,7 +38,7 @@ def draw_reconstructions(
     inputs = DatasetInputs(root, representation.modalities, representation.config.frame_size, cache_dir)
     indices = np.linspace(0, inputs.n_frames - 1, columns).astype(np.int64)
     batch = inputs.batch(indices, torch.device("cpu"))
-    decoded = network.decode(network.latents(batch))
+    decoded = network.decode(network.encode(batch).mean)
     cameras = list(representation.modalities.cameras)
     rows = [
         (f"{name.rpartition('.')[2]}\n{kind}", images[name])

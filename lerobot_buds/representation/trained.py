@@ -140,7 +140,8 @@ class Representation:
         if sha256(content).hexdigest() != record["weights_sha256"]:
             raise CheckpointError(f"{folder / WEIGHTS_FILE} is not the file that {RECORD_FILE} describes; {_RETRAIN}.")
         network = cls.untrained(modalities, config).network
-        earlier = {"latent_scale": torch.ones(())} if record["version"] < 2 else {}
+        scales = ("latent_scale", "proprioception_scale")
+        earlier = dict.fromkeys(scales, torch.ones(())) if record["version"] < 2 else {}
         try:
             network.load_state_dict(earlier | load(content))
         except (SafetensorError, RuntimeError) as error:

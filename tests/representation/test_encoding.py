@@ -65,7 +65,7 @@ def test_weights_of_the_first_version_give_the_fused_latent_alone(
 ) -> None:
     representation.save(tmp_path)
     state = load_file(tmp_path / WEIGHTS_FILE)
-    del state["latent_scale"]
+    del state["latent_scale"], state["proprioception_scale"]
     save_file(state, tmp_path / WEIGHTS_FILE)
     record = read_json(tmp_path / RECORD_FILE)
     del record["config"]["proprioception_weight"]

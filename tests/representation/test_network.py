@@ -94,3 +94,17 @@ def test_image_errors_are_sums_at_the_reference_size() -> None:
     decoded = network.decode(network.encode(batch).mean)["wrist"]
     at_128 = nn.functional.interpolate(decoded - batch["wrist"], scale_factor=4).square().sum() / 4
     torch.testing.assert_close(network(batch, torch.zeros(4, 8), 0.0)["wrist"], at_128)
+
+
+def test_fusion_and_loss_stay_in_float32_under_mixed_precision() -> None:
+    torch.manual_seed(0)
+    network, batch = FusionNetwork(["workspace", "wrist"], 5, 32, 8), batch_of()
+    exact = network(batch, torch.zeros(4, 8), 0.05)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        assert network.image_encoders[0].head(torch.zeros(1, 8 * 2 * 2)).dtype == torch.bfloat16
+        posterior = network.encode(batch)
+        terms = network(batch, torch.zeros(4, 8), 0.05)
+    assert posterior.mean.dtype == posterior.variance.dtype == torch.float32
+    assert all(term.dtype == torch.float32 for term in terms.values())
+    torch.testing.assert_close(terms["loss"], exact["loss"], rtol=0.02, atol=0)
+    assert terms["loss"] != exact["loss"]

@@ -1,11 +1,24 @@
-from dataclasses import replace
+import json
+import os
+import subprocess
+import sys
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from safetensors.torch import load_file
 
 from lerobot_buds.core import ConfigError, DatasetError
-from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation, trained
+from lerobot_buds.representation import (
+    Representation,
+    RepresentationConfig,
+    encode_dataset,
+    train_representation,
+    trained,
+)
+from lerobot_buds.representation.reports import kept_report, out_of_patience
 from lerobot_buds.representation.run import CHECKPOINT_FILE, TrainingRun
 from lerobot_buds.representation.trained import RECORD_FILE, WEIGHTS_FILE
 from lerobot_buds.representation.training import split_episodes
@@ -15,8 +28,17 @@ SMALL = RepresentationConfig(
 )
 
 
+# What several processes, or another precision, need a process of their own for.
+SCRIPT = Path(__file__).with_name("train_once.py")
+PROCESS = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+
+
 class Killed(Exception):
     """Stands for a kill between two steps."""
+
+
+def raise_killed(*_: object) -> None:
+    raise Killed
 
 
 def bytes_of(folder: Path) -> tuple[bytes, bytes]:
@@ -24,13 +46,13 @@ def bytes_of(folder: Path) -> tuple[bytes, bytes]:
 
 
 def train_until_killed(
-    monkeypatch: pytest.MonkeyPatch, root: Path, config: RepresentationConfig, run: Path, cache: Path
+    monkeypatch: pytest.MonkeyPatch, root: Path, config: RepresentationConfig, run: Path, cache: Path, before: int = 25
 ) -> None:
-    """Dies before step 25, after the checkpoint of step 20."""
+    """Dies before a step; before step 25 it is after the checkpoint of step 20."""
     whole_step = TrainingRun.step
 
     def step_or_die(self: TrainingRun, step: int) -> None:
-        if step == 25:
+        if step == before:
             raise Killed
         whole_step(self, step)
 
@@ -82,6 +104,86 @@ def test_killed_and_resumed_equals_unbroken(
     assert done == list(range(20, 30))
     assert bytes_of(run) == bytes_of(tmp_path / "run")
     assert sorted(p.name for p in (tmp_path / "run").iterdir()) == [RECORD_FILE, WEIGHTS_FILE]
+
+
+def test_training_ends_without_progress_and_keeps_the_best(
+    toy_root: Path, unbroken: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = unbroken[1]
+    # So fast that held-out episodes soon suffer.
+    config = replace(SMALL, steps=100, learning_rate=0.03, checkpoint_interval=1, patience=3)
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(Representation, "save", raise_killed)
+        train_representation(toy_root, config, tmp_path / "run", cache)
+    # All that is left is to end: the decision follows from the checkpoint.
+    with monkeypatch.context() as patch:
+        patch.setattr(TrainingRun, "step", raise_killed)
+        ended = train_representation(toy_root, config, tmp_path / "run", cache)
+    validation = [report["validation/loss"] for report in ended.losses]
+    assert len(validation) < 100 and len(validation) - 1 - int(np.argmin(validation)) == 3
+    # The same run, cut off one step after the lowest: its checkpoint has the network that was kept.
+    best = int(np.argmin(validation))
+    train_until_killed(monkeypatch, toy_root, config, tmp_path / "cut", cache, before=best + 1)
+    stored = load_file(tmp_path / "cut" / CHECKPOINT_FILE)
+    for name, tensor in ended.network.named_parameters():
+        assert torch.equal(tensor, stored[f"network/{name}"]), name
+
+
+def test_early_stopping_survives_a_kill(
+    toy_root: Path, unbroken: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = unbroken[1]
+    config = replace(SMALL, steps=100, learning_rate=0.03, checkpoint_interval=2, patience=4)
+    whole = train_representation(toy_root, config, tmp_path / "whole", cache)
+    last = int(whole.losses[-1]["step"])
+    assert 10 < last < 100
+    train_until_killed(monkeypatch, toy_root, config, tmp_path / "run", cache, before=last - 1)
+    train_representation(toy_root, config, tmp_path / "run", cache)
+    assert bytes_of(tmp_path / "whole") == bytes_of(tmp_path / "run")
+
+
+def test_reports_tell_what_is_kept_and_when_to_end() -> None:
+    losses = [{"validation/loss": value} for value in (5.0, 3.0, 4.0, 3.0, 6.0)]
+    assert [kept_report(losses[:n]) for n in range(1, 6)] == [0, 1, 1, 1, 1]
+    assert [out_of_patience(losses[:n], 3) for n in range(6)] == [False] * 5 + [True]
+    assert not out_of_patience(losses, 0) and not out_of_patience(losses, 4)
+    unseen = [{"training/loss": value} for value in (1.0, 2.0, 3.0)]
+    assert kept_report(unseen) == 2 and not out_of_patience(unseen, 1)
+
+
+def test_two_processes_train_what_one_trains(toy_root: Path, unbroken: tuple[Path, Path], tmp_path: Path) -> None:
+    """Batches of 15 are shared as 8 and 7 frames, and the 12 held-out frames in the same way."""
+    cache = unbroken[1]
+    config = replace(SMALL, batch_size=15)
+    alone = train_representation(toy_root, config, tmp_path / "one", cache)
+    launch = ["-m", "accelerate.commands.launch", "--multi_gpu", "--num_processes=2", "--main_process_port=0"]
+    arguments = [str(SCRIPT), str(toy_root), str(tmp_path / "two"), str(cache), json.dumps(asdict(config))]
+    run = subprocess.run(
+        [sys.executable, *launch, *arguments], capture_output=True, text=True, env=PROCESS, timeout=120
+    )
+    assert run.returncode == 0, run.stderr[-3000:]
+    together = Representation.load(tmp_path / "two")
+    said = [line for line in run.stdout.splitlines() if line.startswith("trained")]
+    assert sorted(said) == [f"trained {rank} of 2: {together.hash}" for rank in (0, 1)]
+    assert [r["step"] for r in together.losses] == [10, 20, 30]
+    for ours, theirs in zip(together.losses, alone.losses, strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-4)
+    assert sorted(p.name for p in (tmp_path / "two").iterdir()) == [RECORD_FILE, WEIGHTS_FILE]
+
+
+def test_bfloat16_trains_to_nearly_the_same(toy_root: Path, unbroken: tuple[Path, Path], tmp_path: Path) -> None:
+    """In a process of its own: accelerate keeps one precision for each, which another run is told."""
+    run, cache = unbroken
+    config = replace(SMALL, mixed_precision="bf16")
+    with pytest.raises(ConfigError, match="start another"):
+        train_representation(toy_root, config, tmp_path, cache)
+    arguments = [str(SCRIPT), str(toy_root), str(tmp_path / "half"), str(cache), json.dumps(asdict(config))]
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=PROCESS, timeout=120)
+    assert done.returncode == 0, done.stderr[-3000:]
+    half, whole = Representation.load(tmp_path / "half"), Representation.load(run)
+    assert half.hash != whole.hash
+    assert half.losses[-1] == pytest.approx(whole.losses[-1], rel=0.05)
+    assert all(tensor.dtype == torch.float32 for tensor in half.network.state_dict().values())
 
 
 def test_finished_run_is_loaded_and_a_changed_one_is_trained(
@@ -163,6 +265,10 @@ def test_modalities_are_selected_by_name(toy_root: Path, unbroken: tuple[Path, P
         {"learning_rate": 0.0},
         {"validation_fraction": 1.0},
         {"device": "gpu"},
+        {"patience": -1},
+        {"mixed_precision": "fp16"},
+        {"backbone": "resnet18", "cameras": []},
+        {"backbone": "resnet18", "backbone_weights": "resnet18.pth"},
     ],
 )
 def test_impossible_settings_are_refused(wrong: dict[str, object]) -> None:
