@@ -5,6 +5,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import settings
+
+# How long an example takes says more about the machine's other work than about the code.
+settings.register_profile("default", deadline=None)
+settings.load_profile("default")
 
 # Read by LeRobot, MuJoCo and torch when they are imported.
 _HOME = TemporaryDirectory(prefix="buds-tests-")  # removed when the interpreter ends

@@ -24,6 +24,7 @@ def make_dataset(
     fps: int = 20,
     video: bool = False,
     tasks: Sequence[str] = ("sort the colours",),
+    offset: float = 0.0,
     **create: Any,
 ) -> Path:
     """Records noise around one colour and one place in the first half of every episode, others in the second.
@@ -36,6 +37,7 @@ def make_dataset(
         fps: Frame rate.
         video: Stores the cameras as videos.
         tasks: What the episodes do, in turn.
+        offset: Added to the state.
         **create: More arguments of LeRobot's `create`.
     """
     from lerobot.datasets import LeRobotDataset
@@ -60,7 +62,7 @@ def make_dataset(
                 for name, shape in cameras.items()
             }
             if state["shape"]:
-                frame[STATE] = rng.normal(stage, 0.1, state["shape"]).astype(features[STATE]["dtype"])
+                frame[STATE] = rng.normal(stage + offset, 0.1, state["shape"]).astype(features[STATE]["dtype"])
             frame[ACTION] = rng.normal(size=2).astype(np.float32)
             dataset.add_frame({**frame, "task": tasks[number % len(tasks)]})
         dataset.save_episode()

@@ -55,7 +55,9 @@ def trained(toy_root: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[R
     return train_representation(toy_root, FROZEN, folder / "run", folder / "cache"), folder
 
 
-def test_every_camera_counts_alike_and_proprioception_by_its_weight(toy_root: Path, trained: tuple[Representation, Path]) -> None:
+def test_every_camera_counts_alike_and_proprioception_by_its_weight(
+    toy_root: Path, trained: tuple[Representation, Path]
+) -> None:
     """Two cameras of four components and three joints, one of which never moves."""
     representation, folder = trained
     latents = np.concatenate(encode_dataset(toy_root, representation, 8, folder / "cache"))
