@@ -28,6 +28,8 @@ import draccus
 STAGES = ("checks", "decoding", "training", "picture", "encoding", "discovery", "writing", "finished")
 CAMERAS = ("observation.images.front", "observation.images.wrist")
 FPS = 20
+# What a pass imports on the way, beside its command: seconds in which a kill would hit no work.
+PRELOADED = ["__main__", "lerobot_buds.cli.segment", "lerobot.datasets", "torch._dynamo", "scipy.io"]
 LONGEST_S = 600.0
 
 
@@ -118,7 +120,7 @@ class Experiment:
         self.source, self.reference, self.run = folder / "source", folder / "reference", folder / "run"
         self.cache = Path(os.environ["HF_LEROBOT_HOME"]) / "buds_cache"
         self.context = get_context("forkserver")
-        self.context.set_forkserver_preload(["__main__", "lerobot_buds.cli.segment"])
+        self.context.set_forkserver_preload(PRELOADED)
 
     def start(self, target: Callable[..., None], *arguments: Path) -> BaseProcess:
         """Starts a function in a fork."""

@@ -5,8 +5,17 @@ from pathlib import Path
 
 import numpy as np
 
-from lerobot_buds.core import STATE, TRUE_STAGE, ConfigError, DatasetError, FloatArray, select_dims, write_json
-from lerobot_buds.demos import DatasetFiles, check_demonstrations, dimension_names, read_table
+from lerobot_buds.core import (
+    STATE,
+    TRUE_STAGE,
+    ConfigError,
+    DatasetError,
+    FloatArray,
+    remove_leftovers,
+    select_dims,
+    write_json,
+)
+from lerobot_buds.demos import DatasetFiles, check_demonstrations, dimension_names, only_writer, read_table
 from lerobot_buds.evaluation import (
     METHODS,
     Demonstrations,
@@ -60,7 +69,8 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
 
     Raises:
         ConfigError: A setting cannot work, or ruptures is missing.
-        DatasetError: The dataset is damaged or incomplete, or its true stages are not known.
+        DatasetError: The dataset is damaged or incomplete, its true stages are not known, or another process is at the
+            same work.
         SegmentationError: It cannot be segmented as asked.
     """
     if config.seeds < 1:
@@ -74,13 +84,16 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
     gripper = [np.abs(fingers).mean(axis=1) for fingers in signals["gripper"]]
     stages, fps = true_stages(root), float(files.info["fps"])
     results: list[Result] = []
-    for seed in range(config.seeds):
-        settings = replace(config.representation, seed=seed)
-        latents = encode_dataset(root, train_representation(root, settings, work_dir / f"representation_{seed}"))
-        data = Demonstrations(latents, stages, signals["position"], gripper, fps)
-        results += compare(data, config.discovery, seed, config.methods)
-    write_json(work_dir / "comparison.json", comparison_rows(results))
-    draw_comparison(work_dir / "comparison.png", results, stages, fps)
+    with only_writer(work_dir):
+        for seed in range(config.seeds):
+            settings, folder = replace(config.representation, seed=seed), work_dir / f"representation_{seed}"
+            remove_leftovers(folder)
+            latents = encode_dataset(root, train_representation(root, settings, folder))
+            data = Demonstrations(latents, stages, signals["position"], gripper, fps)
+            results += compare(data, config.discovery, seed, config.methods)
+        remove_leftovers(work_dir)
+        write_json(work_dir / "comparison.json", comparison_rows(results))
+        draw_comparison(work_dir / "comparison.png", results, stages, fps)
     return results
 
 

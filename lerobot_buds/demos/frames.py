@@ -109,7 +109,10 @@ def frame_size(feature: dict[str, Any], camera: str) -> tuple[int, int]:
         channels, height, width = shape if channels_first else (shape[2], shape[0], shape[1])
         if channels == 3:
             return int(height), int(width)
-    raise DatasetError(f"{camera!r} of type {feature['dtype']} and shape {shape} is no RGB camera.")
+    raise DatasetError(
+        f"{camera!r} of type {feature['dtype']}, shape {shape} and names {names} is no RGB camera. Leave it out of the "
+        "cameras, or correct meta/info.json."
+    )
 
 
 def _require_space(folder: Path, needed: int, camera: str) -> None:

@@ -110,6 +110,10 @@ DAMAGES = {
     "rows of another episode": (put("episode_index", 2, 1), r"episode_index is 1 in episode 0, frame 2, which should"),
     "image cut off": (put(FRONT, 16, {"bytes": b"\x89PNG\r\n", "path": None}), r"front' at index 16 is damaged"),
     "frames of another size": (info(shorter), r"holds a frame of \(32, 32, 3\) at index 0; .*says \(48, 32, 3\)"),
+    "channels in another place": (
+        info(lambda c: c["features"][FRONT].update(names=["channels", "height", "width"])),
+        r"front' of type image, shape \(32, 32, 3\) and names \['channels'.* is no RGB camera. Leave it out",
+    ),
     "an old format": (info(lambda c: c.update(codebase_version="v2.1")), r"dataset format v2.1 is not v3; convert it"),
 }
 

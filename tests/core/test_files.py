@@ -3,7 +3,19 @@ from pathlib import Path
 
 import pytest
 
-from lerobot_buds.core import near_names, read_json, sha256_of_file, staged_directory, write_atomically, write_json
+from lerobot_buds.core import (
+    BudsError,
+    DatasetError,
+    StorageError,
+    near_names,
+    read_json,
+    refuse_newer,
+    remove_leftovers,
+    sha256_of_file,
+    staged_directory,
+    write_atomically,
+    write_json,
+)
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -18,6 +30,48 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
         write_atomically(path, fail)
     assert read_json(path) == {"old": 1}
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
+    def fill_the_disk(part: Path) -> None:
+        part.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    write_json(tmp_path / "a.json", {"old": 1})
+    with pytest.raises(StorageError, match=r"a\.json could not be written \(.*No space left on device\).*Make room"):
+        write_atomically(tmp_path / "a.json", fill_the_disk)
+    assert read_json(tmp_path / "a.json") == {"old": 1} and len(list(tmp_path.iterdir())) == 1
+    with pytest.raises(StorageError, match="choose a folder that can be written"):
+        write_json(tmp_path / "a.json" / "b.json", {})
+    assert issubclass(StorageError, BudsError) and issubclass(StorageError, OSError)
+
+
+def test_leftovers_of_a_kill_are_removed_and_nothing_else(tmp_path: Path) -> None:
+    names = [
+        ".x[1].01234567.part",
+        ".x[1].abcdef01.part",
+        ".x1.01234567.part",
+        ".x[1].y.01234567.part",
+        "x[1]",
+        ".lock",
+    ]
+    for name in names:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "half").write_text("")
+    (tmp_path / ".x[1].99999999.part").write_text("")
+    remove_leftovers(tmp_path, "x[1]")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[2:])
+    remove_leftovers(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[4:])
+
+
+def test_only_newer_formats_are_refused() -> None:
+    for found in (0, 1, 2, None, "3"):
+        refuse_newer(Path("a.json"), found, 2, "0.1.0", DatasetError)
+    with pytest.raises(
+        DatasetError, match=r"a\.json has format 3, .* reads up to 2\. Install lerobot_policy_buds>=0\.9"
+    ):
+        refuse_newer(Path("a.json"), 3, 2, "0.9", DatasetError)
 
 
 def test_json_is_canonical_and_refuses_nan(tmp_path: Path) -> None:

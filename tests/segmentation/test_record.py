@@ -2,10 +2,11 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lerobot_buds.segmentation
@@ -21,15 +22,27 @@ def columns(record: SegmentationRecord) -> tuple[np.ndarray, np.ndarray, np.ndar
     return np.concatenate(record.labels), np.concatenate(subgoals), starts, ends, np.ones(ends[-1], dtype=bool)
 
 
-episode_labels = st.lists(st.integers(0, 3), min_size=1, max_size=20).map(lambda x: np.array(x, dtype=np.int64))
+episode_labels = st.lists(st.integers(0, 3), max_size=20).map(lambda x: np.array(x, dtype=np.int64))
+numbers = st.integers() | st.floats(allow_nan=False, allow_infinity=False)
+plain = st.dictionaries(st.text(), st.none() | st.booleans() | numbers | st.text() | st.lists(numbers | st.text()))
 
 
-@given(st.lists(episode_labels, min_size=1, max_size=4), st.integers(1, 9))
+@settings(deadline=None, max_examples=60)
+@given(
+    labels=st.lists(episode_labels, min_size=1, max_size=4).filter(lambda episodes: any(map(len, episodes))),
+    horizon=st.integers(1, 9),
+    fps=st.integers(1, 1000),
+    repo_id=st.text(),
+    parameters=plain,
+    representation=plain,
+    seeds=st.dictionaries(st.text(), st.integers()),
+    agreement=st.none() | st.dictionaries(st.text(), st.floats(allow_nan=False, allow_infinity=False)),
+)
 def test_write_read_write_is_the_identity(
-    tmp_path_factory: pytest.TempPathFactory, labels: list[np.ndarray], horizon: int
+    tmp_path_factory: pytest.TempPathFactory, labels: list[np.ndarray], **description: Any
 ) -> None:
     root = tmp_path_factory.mktemp("record")
-    record = SegmentationRecord.of_labels(labels, repo_id="a/b", fps=20, horizon=horizon, seeds={"x": 1})
+    record = SegmentationRecord.of_labels(labels, **description)
     record.write(root)
     first = (root / SEGMENTATION_FILE).read_bytes()
     again = SegmentationRecord.read(root)
