@@ -130,8 +130,9 @@ def dataset() -> None:
         theirs, slow = timed(frame_by_frame)
         error = np.abs(np.concatenate(ours) - theirs.numpy()).max()
     print(
-        f"videos to latents, {frames} frames of two cameras: {frames / seconds:.0f} frames/s, frame by frame "
-        f"{frames / slow:.0f}, {slow / seconds:.1f} times (largest difference {error:.1e}); from the cache {again:.2f} s"
+        f"videos to latents, {frames} frames of two cameras: {frames / seconds:.0f} frames/s, "
+        f"frame by frame {frames / slow:.0f}, {slow / seconds:.1f} times (largest difference {error:.1e}); "
+        f"from the cache {again:.2f} s"
     )
 
 
