@@ -1,4 +1,4 @@
-"""Times skill discovery: the tree against the published loop, latents to labels, many segments, and the encoder.
+"""Times skill discovery: the tree against the published loop, latents to labels, many segments, and encoding.
 
 All in one run; quote the ratios. Latents are synthetic: random walks around stages.
 
@@ -10,11 +10,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
+from lerobot.datasets import LeRobotDataset
 
-from lerobot_buds.representation import Modalities, Representation, RepresentationConfig
+from lerobot_buds.representation import Modalities, Representation, RepresentationConfig, encode_dataset
 from lerobot_buds.segmentation import SkillDiscovery, build_tree
 from lerobot_buds.segmentation.clustering import cluster
 from lerobot_buds.segmentation.tree import window_bounds
@@ -22,7 +25,8 @@ from lerobot_buds.segmentation.tree import window_bounds
 WINDOW, DIMS, PENALTY = 10, 32, 0.2
 NAIVE_LENGTHS, LENGTHS = (1000, 4000), (1000, 4000, 32_000)
 DEMONSTRATIONS, FRAMES, SEGMENTS, SKILLS = 100, 430, 20_000, 8
-IMAGES = 256
+IMAGES, BATCHES, VIDEO_FRAMES = 256, (8, 32, 256), 400
+CAMERAS = {"observation.images.agentview": (128, 128), "observation.images.eye_in_hand": (128, 128)}
 
 
 def latents(frames: int, seed: int) -> np.ndarray:
@@ -88,21 +92,74 @@ def many_segments() -> tuple[float, float]:
     return seconds, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 2**20
 
 
-@torch.no_grad()
 def encoder() -> None:
-    """Times encoding in batches against one image at a time, at the published size."""
-    cameras = {"observation.images.agentview": (128, 128), "observation.images.eye_in_hand": (128, 128)}
-    network = Representation.untrained(Modalities(cameras, (), ()), RepresentationConfig()).network.eval()
-    frames = {name: torch.rand(IMAGES, 3, 128, 128) for name in cameras}
-    whole, batched = timed(lambda: network.encode(frames).mean, repeats=3)
-    single, slow = timed(
-        lambda: torch.cat([network.encode({n: x[i : i + 1] for n, x in frames.items()}).mean for i in range(IMAGES)])
-    )
-    error = float((whole - single).abs().max())
+    """Times the encoder at the published size, on decoded images: batches of several sizes, and one at a time."""
+    network = untrained().network
+    frames = {name: torch.rand(IMAGES, 3, 128, 128) for name in CAMERAS}
+
+    @torch.inference_mode()
+    def encode(batch: int) -> torch.Tensor:
+        parts = [{n: x[i : i + batch] for n, x in frames.items()} for i in range(0, IMAGES, batch)]
+        return torch.cat([network.latents(part) for part in parts])
+
+    single, slow = timed(lambda: encode(1), repeats=3)
+    for batch in BATCHES:
+        latents, seconds = timed(lambda batch=batch: encode(batch), repeats=3)
+        print(
+            f"encoder in batches of {batch:3}: {IMAGES / seconds:.0f} frames/s, one by one {IMAGES / slow:.0f}, "
+            f"{slow / seconds:.1f} times (largest difference {float((latents - single).abs().max()):.1e})",
+            flush=True,
+        )
+
+
+def dataset() -> None:
+    """Times the way from a dataset's videos to latents: ours, and frame by frame through LeRobotDataset."""
+    representation = untrained()
+    with TemporaryDirectory() as place:
+        folder = Path(place)
+        frames = write_videos(folder / "videos")
+        ours, seconds = timed(lambda: encode_dataset(folder / "videos", representation, cache_dir=folder / "cache"))
+        _, again = timed(lambda: encode_dataset(folder / "videos", representation, cache_dir=folder / "cache"))
+        stored = LeRobotDataset("benchmark/videos", root=folder / "videos")
+
+        @torch.no_grad()
+        def frame_by_frame() -> torch.Tensor:
+            items = (stored[i] for i in range(len(stored)))
+            return torch.cat([representation.network.latents({n: item[n][None] for n in CAMERAS}) for item in items])
+
+        theirs, slow = timed(frame_by_frame)
+        error = np.abs(np.concatenate(ours) - theirs.numpy()).max()
     print(
-        f"encoding: {IMAGES / batched:.0f} frames/s in a batch, {IMAGES / slow:.0f} one by one, "
-        f"{slow / batched:.1f} times (largest difference {error:.1e})"
+        f"videos to latents, {frames} frames of two cameras: {frames / seconds:.0f} frames/s, "
+        f"frame by frame {frames / slow:.0f}, {slow / seconds:.1f} times (largest difference {error:.1e}); "
+        f"from the cache {again:.2f} s"
     )
+
+
+def untrained() -> Representation:
+    """Makes the two-camera representation of the published size; its speed does not depend on training."""
+    return Representation.untrained(Modalities(CAMERAS, (), ()), RepresentationConfig(device="cpu"))
+
+
+def write_videos(root: Path) -> int:
+    """Records two episodes of a bright bar that wanders over a gradient; returns the number of frames."""
+    images = {
+        name: {"dtype": "video", "shape": (128, 128, 3), "names": ["height", "width", "channels"]} for name in CAMERAS
+    }
+    state = {"dtype": "float32", "shape": (1,), "names": ["x"]}
+    features = {**images, "observation.state": state, "action": state}
+    videos = LeRobotDataset.create("benchmark/videos", 20, features, root=root)
+    gradient = np.linspace(0, 120, 128, dtype=np.uint8)[:, None, None] * np.ones((1, 128, 3), dtype=np.uint8)
+    for _ in range(2):
+        for t in range(VIDEO_FRAMES // 2):
+            image = gradient.copy()
+            image[:, t % 112 : t % 112 + 16] += 100
+            zero = np.zeros(1, dtype=np.float32)
+            frame = {**dict.fromkeys(CAMERAS, image), "observation.state": zero, "action": zero, "task": "wander"}
+            videos.add_frame(frame)
+        videos.save_episode()
+    videos.finalize()
+    return VIDEO_FRAMES
 
 
 def main() -> None:
@@ -113,6 +170,7 @@ def main() -> None:
         seconds, memory = pool.submit(many_segments).result()
     print(f"partition of {SEGMENTS} segments into {SKILLS}: {seconds:.1f} s, {memory:.2f} GiB")
     encoder()
+    dataset()
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
 """``lerobot-buds-segment``: the same bytes twice, the source untouched, one line for what goes wrong."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import draccus
 import numpy as np
 import pytest
+import torch
 from lerobot.datasets import LeRobotDataset
 
 from lerobot_buds.cli import segment
@@ -124,6 +126,26 @@ def test_a_finished_pass_is_not_repeated_over_its_output(source, passes):
     assert files(folders[0]) == before
 
 
+def test_a_finished_representation_is_used_as_it_is(source, passes, tmp_path, monkeypatch):
+    folders, (record, _), *_ = passes
+    monkeypatch.setattr(segment, "train_representation", None)
+    config = replace(
+        settings(source, tmp_path),
+        representation=RepresentationConfig(),
+        representation_path=str(folders[0] / "work/representation"),
+    )
+    assert segment.segment(config) == record
+    assert files(tmp_path / "skills") == files(folders[0] / "skills")
+
+
+def test_of_several_processes_the_first_alone_goes_on_after_training(source, passes, tmp_path, monkeypatch):
+    folders, *_ = passes
+    config = replace(settings(source, tmp_path), work_dir=str(folders[0] / "work"))
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_rank", lambda: 1)
+    assert segment.segment(config) is None and not (tmp_path / "skills").exists()
+
+
 def test_arguments_become_settings():
     config = draccus.parse(
         segment.SegmentConfig,
@@ -151,6 +173,13 @@ def test_the_command_tells_what_it_found(source, tmp_path, monkeypatch, capsys):
     assert "boundary F1" in lines[-1]
 
 
+def test_a_representation_that_cannot_be_had_ends_in_one_line(source, tmp_path, monkeypatch):
+    arguments = ["--repo_id=tests/plain", f"--root={source}", "--representation_path=me/absent"]
+    monkeypatch.setattr(sys, "argv", ["lerobot-buds-segment", *arguments, f"--output_root={tmp_path / 'skills'}"])
+    with pytest.raises(SystemExit, match="error: 'me/absent' is not on this machine and the Hub cannot be reached"):
+        segment.main()
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -159,6 +188,7 @@ def test_the_command_tells_what_it_found(source, tmp_path, monkeypatch, capsys):
         (["--discovery.max_skills=several"], "several"),
         (["--representation.cameras=[observation.images.agentveiw]"], "observation.images.agentview"),
         (["--discovery.n_skills=900"], "Lower n_skills"),
+        (["--representation_path=me/absent"], "leave out either it or representation.*"),
     ],
 )
 def test_what_cannot_work_ends_in_one_line(source, tmp_path, arguments, said, monkeypatch):
