@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sklearn.base import clone
-from sklearn.metrics import normalized_mutual_info_score
+from sklearn.metrics import adjusted_rand_score, normalized_mutual_info_score
 
 from lerobot_buds.core import ConfigError, SegmentationError, labels_of, segments_of
 from lerobot_buds.segmentation import PRESETS, DiscoveryConfig, SkillDiscovery, preset

@@ -93,7 +93,6 @@ def test_adjacent_distances_see_the_step() -> None:
     np.testing.assert_allclose(adjacent_distances(latents, 10), [3.0, 0.0], atol=1e-12)
 
 
-@settings(deadline=None)
 @given(
     st.integers(1, 400), st.integers(1, 40), st.integers(0, 60), st.integers(0, 1000), st.sampled_from(list(SEARCHES))
 )
