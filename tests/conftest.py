@@ -5,6 +5,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("shared", deadline=None)  # a busy machine must not fail a test
+settings.load_profile("shared")
 
 # Read by LeRobot, MuJoCo and torch when they are imported.
 _HOME = TemporaryDirectory(prefix="buds-tests-")  # removed when the interpreter ends

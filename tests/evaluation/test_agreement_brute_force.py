@@ -48,7 +48,7 @@ def share(part: int, whole: int, nothing: bool) -> float:
     return part / whole if whole else float(nothing)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(episodes)
 def test_scores_of_boundaries(data: Episodes) -> None:
     found = matched = true = 0
@@ -63,7 +63,7 @@ def test_scores_of_boundaries(data: Episodes) -> None:
     assert scores.boundary_f1 == pytest.approx(share(2 * matched, found + true, nothing))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(episodes)
 def test_score_of_segments(data: Episodes) -> None:
     matched = total = 0
@@ -74,7 +74,7 @@ def test_score_of_segments(data: Episodes) -> None:
     assert scored(data).segment_f1 == pytest.approx(2 * matched / total)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(episodes)
 def test_mutual_information(data: Episodes) -> None:
     """Of the labels of all frames, over the mean of both entropies; two labellings without entropy agree."""
@@ -90,7 +90,7 @@ def test_mutual_information(data: Episodes) -> None:
     assert scored(data).nmi == pytest.approx(information / entropy if entropy else 1.0, abs=1e-9)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(episodes)
 def test_adjusted_rand_index(data: Episodes) -> None:
     """Over all pairs of frames: are they of one label on one side, on the other, on both?"""
@@ -104,7 +104,7 @@ def test_adjusted_rand_index(data: Episodes) -> None:
     assert scored(data).ari == pytest.approx((both - chance) / (most - chance) if most != chance else 1.0)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(episodes, st.permutations(range(LABELS)), st.permutations(range(LABELS)))
 def test_names_of_labels_do_not_matter(data: Episodes, mine: list[int], theirs: list[int]) -> None:
     renamed = [([mine[label] for label in p], [theirs[label] for label in t]) for p, t in data]

@@ -29,7 +29,7 @@ CUTTERS = {
 
 
 @pytest.mark.parametrize("name", CUTTERS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     total=st.integers(1, 150),
     min_length=st.integers(2, 25),

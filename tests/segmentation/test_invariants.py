@@ -10,7 +10,7 @@ from lerobot_buds.segmentation import SkillDiscovery
 KINDS = ("walk", "noise", "stages", "still", "two points", "an outlier")
 
 # Ties and rounding are decided by a seed's data: the same examples on every run.
-examples = settings(max_examples=30, deadline=None, derandomize=True)
+examples = settings(max_examples=30, derandomize=True)
 
 
 def demonstrations(kind: str, lengths: list[int], dims: int, seed: int) -> list[np.ndarray]:

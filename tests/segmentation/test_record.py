@@ -27,7 +27,7 @@ numbers = st.integers() | st.floats(allow_nan=False, allow_infinity=False)
 plain = st.dictionaries(st.text(), st.none() | st.booleans() | numbers | st.text() | st.lists(numbers | st.text()))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     labels=st.lists(episode_labels, min_size=1, max_size=4).filter(lambda episodes: any(map(len, episodes))),
     horizon=st.integers(1, 9),

@@ -47,7 +47,7 @@ def test_tree_equals_the_naive_loop(total: int, penalty: float) -> None:
     assert [tuple(b) for b in released.bounds[bottom:].tolist()] == naive_merges(latents, 10, penalty, three_frames)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(5, 300), st.integers(1, 12), st.sampled_from([0.0, 0.05, 1.0]), st.integers(0, 1000))
 def test_random_trees_equal_the_naive_loop(total: int, window: int, penalty: float, seed: int) -> None:
     latents = np.random.default_rng(seed).normal(size=(total, 3))
@@ -93,7 +93,6 @@ def test_adjacent_distances_see_the_step() -> None:
     np.testing.assert_allclose(adjacent_distances(latents, 10), [3.0, 0.0], atol=1e-12)
 
 
-@settings(deadline=None)
 @given(st.integers(1, 400), st.integers(1, 40), st.integers(0, 60), st.integers(0, 1000))
 def test_temporal_segments_tile_and_stop(total: int, count: int, min_length: int, seed: int) -> None:
     tree = build_tree(np.random.default_rng(seed).normal(size=(total, 3)), 10)
