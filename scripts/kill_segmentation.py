@@ -141,8 +141,8 @@ class Experiment:
         """Segments without a kill; returns how long it took (s)."""
         return self.finish(segment_in_group, self.source, folder, self.folder / "log")
 
-    def kill_after(self, seconds: float) -> None:
-        """Starts the segmentation in the fresh folder and kills its process group."""
+    def kill_after(self, seconds: float) -> bool:
+        """Starts the segmentation in the fresh folder and kills its process group, unless it ended sooner."""
         process = self.start(segment_in_group, self.source, self.run, self.folder / "log")
         process.join(seconds)
         if process.is_alive():
@@ -151,6 +151,7 @@ class Experiment:
             except ProcessLookupError:  # it has no group of its own yet
                 process.kill()
         process.join()
+        return process.exitcode == -signal.SIGKILL
 
     def clear(self) -> None:
         """Makes the next run start from nothing."""
@@ -202,20 +203,19 @@ def kill_often(config: KillConfig, folder: Path) -> Counter[tuple[str, str]]:
     """Runs the experiment; returns how often a kill in which stage had which outcome."""
     experiment = Experiment(config, folder)
     experiment.finish(record, experiment.source)
-    experiment.segment_to(experiment.run)  # the first run is slower: it writes compiled and cached files
+    seconds = experiment.segment_to(experiment.run)
     experiment.clear()
-    seconds = experiment.segment_to(experiment.reference)
+    seconds = min(seconds, experiment.segment_to(experiment.reference))
     experiment.clear()
     before = {name: contents(folder / name) for name in ("source", "reference")}
     print(f"unbroken run: {seconds:.2f} s, {len(before['reference'])} files", flush=True)
     moments, counts = random.Random(config.seed), Counter()
-    for number in range(config.kills):
+    while counts.total() < config.kills:
         moment = moments.uniform(0, seconds)
-        experiment.kill_after(moment)
-        stage = experiment.stage()
-        faults = faults_of(experiment, before)
-        counts[stage, "broken" if faults else "whole"] += 1
-        print(f"kill {number} after {moment:.2f} s, {stage}: {', '.join(faults) or 'whole'}", flush=True)
+        if experiment.kill_after(moment):
+            number, stage, faults = counts.total(), experiment.stage(), faults_of(experiment, before)
+            counts[stage, "broken" if faults else "whole"] += 1
+            print(f"kill {number} after {moment:.2f} s, {stage}: {', '.join(faults) or 'whole'}", flush=True)
         experiment.clear()
     return counts
 
