@@ -133,6 +133,20 @@ def test_an_older_record_is_read(representation: Representation, tmp_path: Path)
     assert Representation.load(tmp_path).hash == representation.hash
 
 
+def test_what_an_older_version_wrote_is_read_and_what_is_no_record_is_not(
+    representation: Representation, tmp_path: Path
+) -> None:
+    representation.save(tmp_path)
+    record = json.loads((tmp_path / RECORD_FILE).read_text())
+    first = {"image_size": 16, "latent_dim": 4, "device": "cpu"}  # as far as it differs from the defaults
+    (tmp_path / RECORD_FILE).write_text(json.dumps({**record, "version": 1, "config": first}))
+    assert Representation.load(tmp_path).config == representation.config
+    for wrong in ([], {**record, "config": {"colour": 3}}, {**record, "config": {"image_size": 1}}, {"version": 2}):
+        (tmp_path / RECORD_FILE).write_text(json.dumps(wrong))
+        with pytest.raises(CheckpointError, match="is no record of a representation"):
+            Representation.load(tmp_path)
+
+
 def test_other_frame_sizes_and_states_are_refused(toy_root: Path, representation: Representation, cache: Path) -> None:
     sizes = dict.fromkeys(representation.modalities.cameras, (64, 48))
     larger = replace(representation, modalities=replace(representation.modalities, cameras=sizes))
