@@ -92,7 +92,8 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
     work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
     output = dataset_root(output_repo_id, config.output_root)
     if not is_main_process(config.representation):
-        train_representation(root, config.representation, work_dir / "representation")
+        if config.library is None and config.representation_path is None:
+            train_representation(root, config.representation, work_dir / "representation")
         return None
     _check(config, root, output, work_dir)
     with only_writer(work_dir):
