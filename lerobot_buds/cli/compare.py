@@ -88,8 +88,11 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
         for seed in range(config.seeds):
             settings, folder = replace(config.representation, seed=seed), work_dir / f"representation_{seed}"
             remove_leftovers(folder)
-            latents = encode_dataset(root, train_representation(root, settings, folder))
-            data = Demonstrations(latents, stages, signals["position"], gripper, fps)
+            representation = train_representation(root, settings, folder)
+            latents = encode_dataset(root, representation)
+            beside = len(representation.modalities.state_dims) if settings.proprioception_weight else 0
+            fused = [episode[:, : episode.shape[1] - beside] for episode in latents]
+            data = Demonstrations(latents, fused, stages, signals["position"], gripper, fps)
             results += compare(data, config.discovery, seed, config.methods)
         remove_leftovers(work_dir)
         write_json(work_dir / "comparison.json", comparison_rows(results))

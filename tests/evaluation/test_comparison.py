@@ -23,7 +23,7 @@ def data():
         stages.append(stage)
         position.append(rng.normal(size=(len(stage), 3)).cumsum(axis=0))
         gripper.append(np.where(stage == 1, 0.0, 0.04))
-    return Demonstrations(latents, stages, position, gripper, FPS)
+    return Demonstrations(latents, latents, stages, position, gripper, FPS)
 
 
 @pytest.fixture(scope="module")
