@@ -62,7 +62,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         self,
         *,
         window: int = 10,
-        max_skills: int = 8,
+        max_skills: int = 10,
         n_skills: int | Literal["auto"] | None = None,
         segments_per_episode: int | None = None,
         search: Search = "levels",

@@ -75,7 +75,7 @@ def test_short_episodes_are_one_segment(total: int, caplog: pytest.LogCaptureFix
         found = SkillDiscovery().fit([np.random.default_rng(0).normal(size=(total, 2)), np.empty((0, 2))])
     assert found.temporal_segments_[0].tolist() == [[0, total]]
     assert [found.labels_[0].tolist(), found.labels_[1].tolist()] == [[0] * total, []]
-    assert "too short for 16 temporal segments" in caplog.text
+    assert "too short for 20 temporal segments" in caplog.text
 
 
 def test_constant_latents_are_one_skill() -> None:
