@@ -90,8 +90,7 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
             remove_leftovers(folder)
             representation = train_representation(root, settings, folder)
             latents = encode_dataset(root, representation)
-            beside = len(representation.modalities.state_dims) if settings.proprioception_weight else 0
-            fused = [episode[:, : episode.shape[1] - beside] for episode in latents]
+            fused = [episode[:, : episode.shape[1] - representation.dims_beside] for episode in latents]
             data = Demonstrations(latents, fused, stages, signals["position"], gripper, fps)
             results += compare(data, config.discovery, seed, config.methods)
         remove_leftovers(work_dir)

@@ -100,8 +100,10 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
         for folder in (work_dir, work_dir / "representation"):
             remove_leftovers(folder)
         found = _discover(config, root, work_dir)
-        record = _record(config, DatasetFiles(root), found)
-        _draw(record, found, root, work_dir)
+        files = DatasetFiles(root)
+        stages = true_stages(root) if TRUE_STAGE in files.features else None
+        record = _record(config, files.fps, found, stages)
+        _draw(record, found, root, work_dir, stages)
         write_segmented_dataset(root, output, output_repo_id, record, found.model)
     logger.info("Pictures are in %s.", work_dir)
     return record
@@ -134,15 +136,13 @@ def _discover(config: SegmentConfig, root: Path, work_dir: Path) -> DiscoveredSk
     """Labels the demonstrations with the skills of a library, or with those that are found in them."""
     if config.library is not None:
         model = SkillModel.from_pretrained(config.library)
-        _check_modalities(root, model.representation)
+        _check_representation(root, model.representation)
         return model.label(root, config.grow)
     if config.representation_path is not None:
         representation = Representation.from_pretrained(config.representation_path)
-        _check_modalities(root, representation)
+        _check_representation(root, representation)
         return discover_skills(root, representation, _discovery(config))
-    # The actions are not used here, but the policy that learns from the result needs them.
-    columns = [*([STATE] if config.representation.proprioception else []), ACTION]
-    check_demonstrations(root, config.representation.cameras, columns)
+    _check_data(root, config.representation.cameras, bool(config.representation.proprioception))
     return discover_skills(root, config.representation, _discovery(config), work_dir)
 
 
@@ -150,14 +150,19 @@ def _discovery(config: SegmentConfig) -> DiscoveryConfig:
     return preset(config.preset, config.discovery)
 
 
-def _check_modalities(root: Path, representation: Representation) -> None:
-    modalities = representation.modalities
-    check_demonstrations(root, list(modalities.cameras), [*([STATE] if modalities.state_dims else []), ACTION])
+def _check_representation(root: Path, representation: Representation) -> None:
+    _check_data(root, list(representation.modalities.cameras), bool(representation.modalities.state_dims))
 
 
-def _record(config: SegmentConfig, files: DatasetFiles, found: DiscoveredSkills) -> SegmentationRecord:
-    model, fps = found.model, files.fps
-    stages = true_stages(files.root) if TRUE_STAGE in files.features else None
+def _check_data(root: Path, cameras: list[str] | None, with_state: bool) -> None:
+    # The actions are not used here, but the policy that learns from the result needs them.
+    check_demonstrations(root, cameras, [STATE, ACTION] if with_state else [ACTION])
+
+
+def _record(
+    config: SegmentConfig, fps: int, found: DiscoveredSkills, stages: list[IntArray] | None
+) -> SegmentationRecord:
+    model = found.model
     library = config.library and {"name": config.library, "grown": config.grow}
     return SegmentationRecord.of_labels(
         found.labels,
@@ -174,13 +179,14 @@ def _record(config: SegmentConfig, files: DatasetFiles, found: DiscoveredSkills)
     )
 
 
-def _draw(record: SegmentationRecord, found: DiscoveredSkills, root: Path, work_dir: Path) -> None:
+def _draw(
+    record: SegmentationRecord, found: DiscoveredSkills, root: Path, work_dir: Path, stages: list[IntArray] | None
+) -> None:
     if found.model.representation.draws:
         draw_reconstructions(root, found.model.representation, work_dir / "reconstructions.png")
     title = f"{record.source.repo_id}: {record.n_skills} skills in {len(record.episodes)} demonstrations"
     if record.agreement:
         title += f"\n{_in_words(record.agreement)} against the true stages"
-    stages = true_stages(root) if record.agreement else None
     draw_timeline(work_dir / "timeline.png", found.labels, record.source.fps, stages, title)
     if found.scores:
         draw_silhouettes(work_dir / "n_skills.png", found.scores)

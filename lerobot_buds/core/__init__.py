@@ -38,7 +38,7 @@ from .names import (
     frames_of_seconds,
     select_dims,
 )
-from .segments import FloatArray, IntArray, Segment, labels_of, segments_of, subgoals_of
+from .segments import FloatArray, IntArray, Segment, labels_of, lengths_by_label, segments_of, subgoals_of
 
 __all__ = [
     "ACTION",
@@ -67,6 +67,7 @@ __all__ = [
     "StorageError",
     "frames_of_seconds",
     "labels_of",
+    "lengths_by_label",
     "near_names",
     "read_json",
     "refuse_newer",

@@ -4,6 +4,7 @@ The label array is the single truth: a segment is a maximal run of equal labels,
 always tile ``[0, T)`` and every boundary frame belongs to exactly one segment, the later one.
 """
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -44,6 +45,14 @@ def labels_of(segments: list[Segment]) -> IntArray:
     """Writes segments that tile an episode back into its ``(T,)`` label array; inverse of `segments_of`."""
     parts = [np.full(s.length, s.label, dtype=np.int64) for s in segments]
     return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
+
+
+def lengths_by_label(episodes: Iterable[Iterable[Segment]]) -> dict[int, list[int]]:
+    """Lists the lengths (frames) of the segments of every label that occurs, in ascending order of the labels."""
+    lengths: dict[int, list[int]] = {}
+    for segment in (segment for episode in episodes for segment in episode):
+        lengths.setdefault(segment.label, []).append(segment.length)
+    return dict(sorted(lengths.items()))
 
 
 def subgoals_of(labels: IntArray, horizon: int) -> IntArray:

@@ -8,7 +8,15 @@ from itertools import combinations
 import numpy as np
 from sklearn.metrics import adjusted_rand_score
 
-from lerobot_buds.core import ConfigError, FloatArray, IntArray, frames_of_seconds, near_names, segments_of
+from lerobot_buds.core import (
+    ConfigError,
+    FloatArray,
+    IntArray,
+    frames_of_seconds,
+    lengths_by_label,
+    near_names,
+    segments_of,
+)
 from lerobot_buds.segmentation import PRESETS, DiscoveryConfig, baselines, preset
 
 from .agreement import Agreement, agreement, label_distance
@@ -76,12 +84,10 @@ class Result:
     @property
     def skills(self) -> list[dict[str, float]]:
         """Per skill, the number of its segments and their mean length (seconds)."""
-        lengths: dict[int, list[int]] = {}
-        for segment in (segment for episode in self.labels for segment in segments_of(episode)):
-            lengths.setdefault(segment.label, []).append(segment.length)
+        lengths = lengths_by_label(map(segments_of, self.labels))
         return [
             {"segments": len(of_skill), "mean_seconds": float(np.mean(of_skill)) / self.fps}
-            for _, of_skill in sorted(lengths.items())
+            for of_skill in lengths.values()
         ]
 
 

@@ -92,6 +92,11 @@ class Representation:
         """Whether images can be reconstructed from its latents."""
         return isinstance(self.network, FusionNetwork) and bool(self.modalities.cameras)
 
+    @property
+    def dims_beside(self) -> int:
+        """How many of the latents' last dimensions are proprioception that stands beside what is fused."""
+        return len(self.modalities.state_dims) if self.config.proprioception_weight else 0
+
     @cached_property
     def hash(self) -> str:
         """Content hash of the weights and of what they are applied to; names caches of latents."""

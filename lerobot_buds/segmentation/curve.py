@@ -5,6 +5,8 @@ from pathlib import Path
 
 from lerobot_buds.core import write_atomically
 
+from .selection import best_count
+
 
 def draw_silhouettes(path: Path, scores: Mapping[int, float]) -> None:
     """Draws how well each number of clusters parts the segments as a PNG, atomically; the best one is marked.
@@ -20,7 +22,7 @@ def draw_silhouettes(path: Path, scores: Mapping[int, float]) -> None:
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     counts = sorted(scores)
-    best = max(counts, key=lambda count: (scores[count], -count))
+    best = best_count(scores)
     axes.plot(counts, [scores[count] for count in counts], marker="o", color="0.45")
     axes.plot([best], [scores[best]], marker="o", markersize=10, color="C0")
     axes.annotate(f"{best} clusters", (best, scores[best]), xytext=(0, 10), textcoords="offset points", ha="center")

@@ -15,7 +15,7 @@ from sklearn.neighbors import KNeighborsClassifier, NearestNeighbors
 
 from lerobot_buds.core import FloatArray, IntArray, SegmentationError
 
-from .partition import dissolve_short_skills, keyframe_features
+from .partition import dissolve_short_skills, frame_labels, pooled_features
 
 NEIGHBORS = 5
 """Exemplars that vote on a segment."""
@@ -33,7 +33,7 @@ class SkillLibrary:
     """The temporal segments of demonstrations that were segmented before, with the skill of each.
 
     Attributes:
-        features: ``(N, k * D)`` keyframe features, see `keyframe_features`.
+        features: ``(N, k * D)`` keyframe features, see `pooled_features`.
         skills: ``(N,)`` int64 skills, in ``[0, n_skills)``.
         episodes: ``(N,)`` int64 number of the demonstration that each comes from.
         n_skills: Number of skills K; one may have no exemplar.
@@ -65,7 +65,7 @@ class SkillLibrary:
             num_keyframes: Keyframes per segment.
         """
         return cls(
-            np.concatenate([keyframe_features(h, b, num_keyframes) for h, b in zip(latents, bounds, strict=True)]),
+            pooled_features(latents, bounds, num_keyframes),
             np.concatenate([episode[b[:, 0]] for episode, b in zip(labels, bounds, strict=True)]),
             np.repeat(np.arange(len(bounds), dtype=np.int64), [len(b) for b in bounds]),
             n_skills,
@@ -117,9 +117,7 @@ class SkillLibrary:
         Raises:
             SegmentationError: The latents are of another size than the library's.
         """
-        features = np.concatenate(
-            [keyframe_features(h, b, self.num_keyframes) for h, b in zip(latents, bounds, strict=True)]
-        )
+        features = pooled_features(latents, bounds, self.num_keyframes)
         if features.shape[1] != self.features.shape[1]:
             raise SegmentationError(
                 f"The latents have {latents[0].shape[1]} dimensions, those of the library's exemplars "
@@ -132,8 +130,7 @@ class SkillLibrary:
         if grow:
             far = vote.kneighbors(features, n_neighbors=1)[0][:, 0] > FAR * self.reach
             found[far] = self.n_skills + self._groups(features[far])
-        per_episode = np.split(found, np.cumsum([len(b) for b in bounds])[:-1])
-        labels = [np.repeat(skills, b[:, 1] - b[:, 0]) for skills, b in zip(per_episode, bounds, strict=True)]
+        labels = frame_labels(found, bounds)
         labels = dissolve_short_skills(latents, labels, min_length, self.num_keyframes, keep=range(self.n_skills))
         return self._compact(labels)
 

@@ -33,6 +33,17 @@ def keyframe_features(latents: FloatArray, bounds: IntArray, num_keyframes: int)
     return features
 
 
+def pooled_features(latents: Sequence[FloatArray], bounds: Sequence[IntArray], num_keyframes: int) -> FloatArray:
+    """Describes the segments of all demonstrations, ``(N, k * D)`` in order; see `keyframe_features`."""
+    return np.concatenate([keyframe_features(h, b, num_keyframes) for h, b in zip(latents, bounds, strict=True)])
+
+
+def frame_labels(labels: IntArray, bounds: Sequence[IntArray]) -> list[IntArray]:
+    """Spreads labels of pooled segments, ``(N,)``, over their frames: ``(T,)`` for every demonstration."""
+    per_episode = np.split(labels, np.cumsum([len(b) for b in bounds])[:-1])
+    return [np.repeat(of_segments, b[:, 1] - b[:, 0]) for of_segments, b in zip(per_episode, bounds, strict=True)]
+
+
 def partition_segments(
     latents: Sequence[FloatArray],
     bounds: Sequence[IntArray],
@@ -58,10 +69,8 @@ def partition_segments(
         ``(T,)`` labels of every demonstration; values ``0 .. k-1``, all present.
     """
     for _ in range(passes):
-        features = [keyframe_features(h, b, num_keyframes) for h, b in zip(latents, bounds, strict=True)]
-        clusters = cluster(np.concatenate(features), n_clusters, random_state, gamma)
-        per_episode = np.split(clusters, np.cumsum([len(b) for b in bounds])[:-1])
-        labels = [np.repeat(c, b[:, 1] - b[:, 0]) for c, b in zip(per_episode, bounds, strict=True)]
+        features = pooled_features(latents, bounds, num_keyframes)
+        labels = frame_labels(cluster(features, n_clusters, random_state, gamma), bounds)
         bounds = [_bounds(segments_of(episode)) for episode in labels]
     return labels
 
@@ -90,7 +99,7 @@ def dissolve_short_skills(
         New ``(T,)`` labels of every demonstration, out of the labels that stay.
     """
     runs = [segments_of(episode) for episode in labels]
-    features = np.concatenate([_run_features(h, r, num_keyframes) for h, r in zip(latents, runs, strict=True)])
+    features = pooled_features(latents, [_bounds(episode) for episode in runs], num_keyframes)
     owners = np.array([run.label for episode in runs for run in episode])
     lengths = np.array([run.length for episode in runs for run in episode])
     mean_length = {label: float(lengths[owners == label].mean()) for label in np.unique(owners).tolist()}

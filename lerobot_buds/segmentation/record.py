@@ -24,6 +24,7 @@ from lerobot_buds.core import (
     Segment,
     SegmentationError,
     labels_of,
+    lengths_by_label,
     read_json,
     refuse_newer,
     segments_of,
@@ -142,9 +143,8 @@ class SegmentationRecord:
     @property
     def skills(self) -> list[dict[str, float]]:
         """Per skill, the number of its segments and their mean length (frames, seconds)."""
-        lengths: list[list[int]] = [[] for _ in range(self.n_skills)]
-        for segment in (segment for episode in self.episodes for segment in episode.segments):
-            lengths[segment.label].append(segment.length)
+        known = lengths_by_label(episode.segments for episode in self.episodes)
+        lengths = [known.get(skill, []) for skill in range(self.n_skills)]
         means = [float(np.mean(skill)) if skill else 0.0 for skill in lengths]
         return [
             {"segments": len(skill), "mean_frames": round(mean, 3), "mean_seconds": round(mean / self.source.fps, 4)}

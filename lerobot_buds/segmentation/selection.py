@@ -1,6 +1,6 @@
 """Chooses the number of skills: the one whose clusters part the temporal segments best."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from sklearn.metrics import silhouette_score
@@ -8,7 +8,7 @@ from sklearn.metrics import silhouette_score
 from lerobot_buds.core import FloatArray, IntArray
 
 from .clustering import cluster
-from .partition import keyframe_features
+from .partition import pooled_features
 
 _MAX_SCORED = 5000
 
@@ -38,11 +38,16 @@ def choose_n_skills(
         The number of skills, and the silhouette of every number that was tried, in [-1, 1]. Fewer than three distinct
         segments are one skill.
     """
-    features = np.concatenate([keyframe_features(h, b, num_keyframes) for h, b in zip(latents, bounds, strict=True)])
+    features = pooled_features(latents, bounds, num_keyframes)
     scores: dict[int, float] = {}
     sample = None if len(features) <= _MAX_SCORED else _MAX_SCORED
     for count in range(2, min(most, len(np.unique(features, axis=0)) - 1) + 1):
         labels = cluster(features, count, random_state, gamma)
         if labels.max() + 1 == count:
             scores[count] = float(silhouette_score(features, labels, sample_size=sample, random_state=random_state))
-    return max(scores, key=lambda count: (scores[count], -count), default=1), scores
+    return best_count(scores), scores
+
+
+def best_count(scores: Mapping[int, float]) -> int:
+    """Picks the number with the highest silhouette, the lower one on ties; 1 where none was tried."""
+    return max(scores, key=lambda count: (scores[count], -count), default=1)

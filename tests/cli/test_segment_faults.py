@@ -118,12 +118,16 @@ DAMAGES = {
 }
 
 
+def refusal(original, damage, refused, tmp_path) -> str:
+    source = Path(shutil.copytree(original, tmp_path / "source"))
+    damage(source)
+    return refused(source, DatasetError)
+
+
 @pytest.mark.parametrize("name", DAMAGES)
 def test_damaged_datasets_are_refused(name, images, refused, tmp_path):
     damage, message = DAMAGES[name]
-    source = Path(shutil.copytree(images, tmp_path / "source"))
-    damage(source)
-    assert re.search(message, refused(source, DatasetError), re.DOTALL)
+    assert re.search(message, refusal(images, damage, refused, tmp_path), re.DOTALL)
 
 
 VIDEO_DAMAGES = {
@@ -144,9 +148,7 @@ def test_a_lost_video_of_a_camera_that_is_not_used_is_refused(videos, refused, t
 @pytest.mark.parametrize("name", VIDEO_DAMAGES)
 def test_damaged_videos_are_refused_before_anything_is_trained(name, videos, refused, tmp_path):
     damage, message = VIDEO_DAMAGES[name]
-    source = Path(shutil.copytree(videos, tmp_path / "source"))
-    damage(source)
-    assert re.search(message, refused(source, DatasetError), re.DOTALL)
+    assert re.search(message, refusal(videos, damage, refused, tmp_path), re.DOTALL)
 
 
 def test_all_that_is_missing_is_said_at_once(images, refused, tmp_path):
