@@ -1,6 +1,7 @@
 """Policy type ``buds``: K skills and a meta controller, trained together and rolled out at two rates."""
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -110,13 +111,21 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self._rollouts.pop(threading.get_ident(), None)
 
     @torch.no_grad()
-    def select_action(self, batch: dict[str, Any], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
+    def select_action(
+        self,
+        batch: dict[str, Any],
+        noise: Tensor | None = None,
+        override: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]] | None = None,
+        **kwargs: Any,
+    ) -> Tensor:
         """Runs one control step of all environments of a batch.
 
         Args:
             batch: The inputs, and ``task`` strings where there are several tasks.
             noise: ``(B, latent)`` standard normal numbers for the subgoals that are decided now; drawn from torch's
                 default generator (CPU) where not given, and only in steps with a decision.
+            override: Called at every decision with the ``(D,)`` int64 rows of the batch that decide now, their ``(D,)``
+                int64 skills and ``(D, subgoal_dim)`` subgoals; what it returns in the place of the last two is done.
             kwargs: Not used.
 
         Returns:
@@ -138,6 +147,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             if noise is None:
                 noise = torch.randn(len(images), self.config.meta_latent)
             skill, subgoal = self.meta_controller(self._workspace(images)[due], noise.to(images)[due])
+            if override is not None:
+                skill, subgoal = override(due.nonzero()[:, 0], skill, subgoal)
             rollout.decide(due, skill, subgoal, self.config.meta_period)
         proprio = self.proprioception(state, rollout.history)
         actions: Tensor = self.skills(rollout.skill, images, rollout.subgoal, proprio)

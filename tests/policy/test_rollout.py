@@ -67,6 +67,28 @@ def test_environments_may_decide_at_different_steps(build, observe):
     assert rollout.steps_left.tolist() == [PERIOD - 1, 1]
 
 
+def test_an_override_replaces_decisions_when_they_fall_due(build, observe):
+    policy = build()
+    policy.reset()
+    seen = []
+
+    def swap(rows, skill, subgoal):
+        seen.append(rows.tolist())
+        assert skill.shape == (len(rows),) and subgoal.shape == (len(rows), policy.config.subgoal_dim)
+        return 1 - skill, torch.zeros_like(subgoal)
+
+    policy.select_action(observe(0, 12))
+    asked = policy.current_skills
+    policy.reset()
+    for step in range(PERIOD + 1):
+        policy.select_action(observe(step, 12), override=swap)
+    assert seen == [[0, 1], [0, 1]]
+    policy.reset()
+    policy.select_action(observe(0, 12), override=swap)
+    assert torch.equal(policy.current_skills, 1 - asked)
+    assert not policy._rollouts[threading.get_ident()].subgoal.any()
+
+
 def test_the_drawn_latent_is_the_generators_and_matters(build, observe):
     policy = build()
 
