@@ -178,7 +178,8 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         fewer = sum(count < wanted for count in counts)
         if fewer:
             logger.warning(
-                "%d of %d demonstrations are too short for %d temporal segments and have fewer (least: %d).",
+                "%d of %d demonstrations are too short for %d temporal segments and have fewer (least: %d). "
+                "If most are, set segments_per_episode to about twice the skills of one demonstration.",
                 fewer,
                 len(counts),
                 wanted,
