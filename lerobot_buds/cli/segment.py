@@ -163,7 +163,7 @@ def _record(
     config: SegmentConfig, fps: int, found: DiscoveredSkills, stages: list[IntArray] | None
 ) -> SegmentationRecord:
     model = found.model
-    library = config.library and {"name": config.library, "grown": config.grow}
+    library = config.library and {"name": config.library, "grown": config.grow, "lineage": list(model.lineage)}
     return SegmentationRecord.of_labels(
         found.labels,
         repo_id=config.repo_id,

@@ -8,10 +8,25 @@ from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig  #
 
 from lerobot_buds.core import IMAGE_PREFIX, STATE, WORKSPACE_CAMERA, ConfigError, frames_of_seconds, near_names
 
-ENCODERS = ("resnet18", "conv")
-NORMS = ("batch", "group")
 PAPER_FPS = 20
 RESNET_MIN_PIXELS = 64
+CHOICES = {
+    "skills": ("segments", "single", "flat"),
+    "encoder": ("resnet18", "conv"),
+    "norm": ("batch", "group"),
+    "schedule": ("joint", "sequential"),
+    "meta_controllers": ("per_task", "conditioned"),
+    "meta_cameras": ("workspace", "all"),
+}
+"""Fields of the configuration that take one word, and the words."""
+
+LIBRARY_FIELDS = (
+    *("skills", "subgoal_horizon_s", "workspace_camera", "image_size", "current_state", "history_state"),
+    *("gripper_history_s", "encoder", "norm", "conv_channels", "keypoints", "image_feature", "subgoal_dim"),
+    *("head_widths", "shared_trunk", "chunk_size", "termination", "n_skills", "segmentation", "fps", "render_profile"),
+    *("state_names", "current_dims", "history_dims"),
+)
+"""Fields that say what the skills are: with `skills_path` they are those of the library."""
 
 
 @PreTrainedConfig.register_subclass("buds")
@@ -25,6 +40,12 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     Raises:
         ConfigError: A value cannot work.
     """
+
+    # Which skills
+    skills: str = "segments"  # as labelled (paper); "single": one for whole demonstrations (paper: GTI); "flat": one
+    # without subgoals and meta controller (paper: flat behaviour cloning). The last two need no segmentation
+    subgoal_horizon_s: float = 1.5  # of "single" (notes); with "segments" the dataset says
+    skills_path: str | None = None  # trained policy, folder or Hub, whose skills are taken over and frozen
 
     # Inputs. Images and actions go in and out unchanged; the policy standardises the state with buffers of its own, so
     # that a skill keeps its scaling when it is trained further on another dataset.
@@ -51,8 +72,18 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     subgoal_dim: int = 32  # notes
     subgoal_noise: float = 0.1  # standard deviation, training only (notes)
     head_widths: list[int] = field(default_factory=lambda: [300, 400])  # notes; multi-task: 300, 300, 400
+    shared_trunk: bool = False  # one convolutional trunk for all skills (ours; paper: nothing shared)
+    chunk_size: int = 1  # actions a skill predicts at once (paper: 1); overlapping ones are averaged
+    ensemble_decay: float = 0.01  # weight exp(-decay i) of the i-th oldest prediction (ACT)
+    termination: bool = False  # skills also tell when they end, and are not left before (ours)
+    compile_model: bool = False  # torch.compile for the encoders
 
     # Meta controller
+    meta_controllers: str = "per_task"  # one for each task (paper), or one that is "conditioned" on the task (ours)
+    meta_cameras: str = "workspace"  # (paper) or "all"
+    decoder_sees_skill: bool = False  # the subgoal is imagined for the skill that was picked (ours; released: not)
+    drawn_subgoals: bool = True  # latent drawn afresh at every decision (released code); else its mean, 0
+    switch_margin: float = 0.0  # by how much another skill must be more probable to be switched to (ours)
     meta_period_s: float = 0.25  # 4 Hz (paper)
     meta_latent: int = 64  # released code
     meta_encoder_widths: list[int] = field(default_factory=lambda: [256, 256])  # released code
@@ -61,6 +92,9 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     kl_weight: float = 1e-4  # per sample; the released 0.01 weighs a mean against sums over batches of 100
 
     # Training
+    schedule: str = "joint"  # skills and meta controller together (ours), or "sequential": the skills first (paper)
+    skill_steps: int | None = None  # steps of "sequential" that the skills get; the meta controller gets the rest
+    balance_skills: bool = False  # every skill weighs the same, however many frames it has (ours)
     optimizer_lr: float = 1e-4  # Adam (notes)
     optimizer_grad_clip_norm: float = 10.0  # LeRobot's default
     push_to_hub: bool = False
@@ -77,20 +111,25 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, known in (("encoder", ENCODERS), ("norm", NORMS)):
+        for name, known in CHOICES.items():
             if (value := getattr(self, name)) not in known:
                 raise ConfigError(f"{name}={value!r} is unknown. {near_names(str(value), known)}")
-        for name in ("image_size", "n_skills", "fps", "keypoints", "image_feature", "subgoal_dim", "meta_latent"):
+        counts = ("image_size", "n_skills", "fps", "keypoints", "image_feature", "subgoal_dim", "meta_latent")
+        for name in (*counts, "chunk_size", "skill_steps"):
             if (value := getattr(self, name)) is not None and value < 1:
                 raise ConfigError(f"{name}={value} must be at least 1.")
-        for name in ("crop_padding", "subgoal_noise", "kl_weight"):
+        for name in ("crop_padding", "subgoal_noise", "kl_weight", "switch_margin", "ensemble_decay"):
             if (value := getattr(self, name)) < 0:
                 raise ConfigError(f"{name}={value} must not be negative.")
-        for name in ("gripper_history_s", "meta_period_s", "optimizer_lr"):
+        for name in ("gripper_history_s", "subgoal_horizon_s", "meta_period_s", "optimizer_lr"):
             if not (value := getattr(self, name)) > 0:
                 raise ConfigError(f"{name}={value} must be positive.")
         if not self.conv_channels:
             raise ConfigError("conv_channels is empty: the encoder needs at least one stage.")
+        if self.schedule == "sequential" and self.skill_steps is None:
+            raise ConfigError("schedule='sequential' needs skill_steps: how many of the steps are for the skills.")
+        if self.skills == "flat" and self.skills_path is not None:
+            raise ConfigError("skills='flat' has no meta controller to train on the skills of skills_path.")
 
     @property
     def cameras(self) -> list[str]:
@@ -120,6 +159,22 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     def meta_period(self) -> int:
         """Frames for which a decision of the meta controller is held."""
         return frames_of_seconds(self.meta_period_s, self.fps or PAPER_FPS)
+
+    @property
+    def subgoal_horizon(self) -> int:
+        """Frames to the subgoal, with "single" skills."""
+        return frames_of_seconds(self.subgoal_horizon_s, self.fps or PAPER_FPS)
+
+    @property
+    def has_subgoals(self) -> bool:
+        """Whether there are subgoals, hence a meta controller that picks them."""
+        return self.skills != "flat"
+
+    @property
+    def meta_channels(self) -> int:
+        """Channels of the images that the meta controller sees; the workspace camera's come first."""
+        shown = self.cameras if self.meta_cameras == "all" else self.cameras[:1]
+        return sum(int(self.image_features[camera].shape[0]) for camera in shown)
 
     @property
     def proprio_size(self) -> int:
@@ -165,9 +220,12 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         """Adam without weight decay (paper's notes)."""
         return AdamConfig(lr=self.optimizer_lr, weight_decay=0.0, grad_clip_norm=self.optimizer_grad_clip_norm)
 
-    def get_scheduler_preset(self) -> CosineAnnealingWithWarmupSchedulerConfig:
-        """Cosine decay to zero over the run (ours; the paper keeps the rate and stops after 2001 epochs)."""
-        return CosineAnnealingWithWarmupSchedulerConfig(num_warmup_steps=0)
+    def get_scheduler_preset(self) -> CosineAnnealingWithWarmupSchedulerConfig | None:
+        """Cosine decay to zero over the run (ours; the paper keeps the rate and stops after 2001 epochs).
+
+        A sequential run keeps the rate: the meta controller's turn comes when a cosine would be low.
+        """
+        return CosineAnnealingWithWarmupSchedulerConfig(num_warmup_steps=0) if self.schedule == "joint" else None
 
     @property
     def observation_delta_indices(self) -> None:
@@ -175,9 +233,9 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         return None
 
     @property
-    def action_delta_indices(self) -> None:
-        """None: one action per frame."""
-        return None
+    def action_delta_indices(self) -> list[int] | None:
+        """The frames of a chunk of actions, relative to the present one; None for a single action."""
+        return list(range(self.chunk_size)) if self.chunk_size > 1 else None
 
     @property
     def reward_delta_indices(self) -> None:

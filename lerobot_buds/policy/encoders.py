@@ -7,6 +7,11 @@ import torch
 from torch import Tensor, nn
 from torchvision.models import resnet18
 
+from .configuration_buds import BudsConfig
+
+Trunk = tuple[nn.Module, int]
+"""Layers that turn images into maps, and the channels of these."""
+
 GROUP_WIDTH = 16
 """Channels per group of group normalisation (Wu and He 2018)."""
 
@@ -30,7 +35,20 @@ def make_norm(kind: str) -> Callable[[int], nn.Module]:
     return lambda channels: nn.GroupNorm(max(1, channels // GROUP_WIDTH), channels)
 
 
-def make_resnet_trunk(in_channels: int, norm: str, stages: int) -> tuple[nn.Sequential, int]:
+def make_trunk(config: BudsConfig, in_channels: int, stages: int) -> Trunk:
+    """Builds the trunk that a configuration names.
+
+    Args:
+        config: Says which encoder, and its sizes.
+        in_channels: Channels of the input; the cameras of one frame are stacked.
+        stages: Residual stages of a ResNet-18.
+    """
+    if config.encoder == "resnet18":
+        return make_resnet_trunk(in_channels, config.norm, stages)
+    return make_conv_trunk(in_channels, config.norm, config.conv_channels)
+
+
+def make_resnet_trunk(in_channels: int, norm: str, stages: int) -> Trunk:
     """Builds a ResNet-18 trained from scratch, without pooling and classifier (paper, section on skills).
 
     Args:
@@ -49,7 +67,7 @@ def make_resnet_trunk(in_channels: int, norm: str, stages: int) -> tuple[nn.Sequ
     return nn.Sequential(net.conv1, net.bn1, net.relu, net.maxpool, *kept), 64 * 2 ** (stages - 1)
 
 
-def make_conv_trunk(in_channels: int, norm: str, channels: Sequence[int]) -> tuple[nn.Sequential, int]:
+def make_conv_trunk(in_channels: int, norm: str, channels: Sequence[int]) -> Trunk:
     """Builds a small trunk for CPUs (ours): strides 4, 2, 1, ..., so that 64 pixels become 8x8 maps.
 
     The large first stride is where the time goes away: later stages work on 16x16 maps and smaller.
@@ -87,7 +105,8 @@ class SpatialSoftmax(nn.Module):
             ``(B, 2 C)`` floats: all x, then all y.
         """
         _, _, height, width = maps.shape
-        weights = maps.flatten(2).softmax(dim=-1).view_as(maps)
+        # In half precision positions would come in steps of 1/128.
+        weights = maps.float().flatten(2).softmax(dim=-1).view_as(maps)
         columns = torch.linspace(-1, 1, width, device=maps.device, dtype=weights.dtype)
         rows = torch.linspace(-1, 1, height, device=maps.device, dtype=weights.dtype)
         x = (weights.sum(dim=2) * columns).sum(dim=-1)  # (B, C)

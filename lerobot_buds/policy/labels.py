@@ -4,17 +4,27 @@ LeRobot drops custom columns on the way to the policy, and always keeps ``index`
 process, never parameters or buffers, which would be broadcast and saved with the weights.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_buds.core import STATE, CheckpointError, DatasetError, IntArray, SegmentationError
+from lerobot_buds.core import (
+    STATE,
+    CheckpointError,
+    DatasetError,
+    IntArray,
+    SegmentationError,
+    segments_of,
+    subgoals_of,
+)
 from lerobot_buds.demos import cached_frames, read_table
 from lerobot_buds.segmentation import load_labels
+
+from .configuration_buds import BudsConfig
 
 
 @dataclass(frozen=True)
@@ -23,12 +33,14 @@ class Supervision:
 
     Attributes:
         skill: ``(B,)`` int64 skill labels.
-        goals: ``(B, 3, H, W)`` float32 workspace images at the subgoal frames, in [0, 1], stored size.
+        subgoal: ``(B,)`` int64 absolute indices of the subgoal frames; on the CPU.
+        ending: ``(B,)`` bool, whether the segment ends before the meta controller's next decision.
         history: ``(B, n, h)`` float32 gripper readings of the n frames before, oldest first.
     """
 
     skill: Tensor
-    goals: Tensor
+    subgoal: Tensor
+    ending: Tensor
     history: Tensor
 
 
@@ -48,41 +60,48 @@ def history_rows(index: IntArray, starts: IntArray, frames: int) -> IntArray:
 
 
 class LabelTable:
-    """Labels, goal frames and gripper readings of one segmented dataset.
+    """Labels, goal frames and gripper readings of one dataset.
+
+    Attributes:
+        skill: ``(N,)`` int64 skill of every frame, -1 for frames that are not on this machine.
+        weights: ``(K,)`` float64 weights by which every skill counts the same, 1 for all if they have as many frames.
 
     Args:
-        root: Folder of the segmented dataset.
-        camera: Workspace camera.
-        image_shape: Shape ``(3, H, W)`` of its images that the policy expects.
-        history_dims: Dimensions of the state whose history the skills see.
-        history_frames: Length of that history (frames).
+        root: Folder of the dataset, segmented if the policy has skills as labelled.
+        config: A configuration whose features and dimensions are settled.
 
     Raises:
         SegmentationError: The labels are missing or do not fit the dataset.
-        CheckpointError: The images have another shape.
+        CheckpointError: The images have another shape than the policy was made for.
     """
 
-    def __init__(
-        self,
-        root: Path,
-        camera: str,
-        image_shape: tuple[int, ...],
-        history_dims: Sequence[int],
-        history_frames: int,
-    ) -> None:
+    def __init__(self, root: Path, config: BudsConfig) -> None:
         self.root = Path(root)
-        _, self.skill, self.subgoal = load_labels(self.root)
-        self.goals = cached_frames(self.root, camera)
-        if self.goals.shape[1:] != image_shape:
-            raise CheckpointError(
-                f"{self.root}: {camera!r} has shape {self.goals.shape[1:]}, the policy was made for {image_shape}."
-            )
-        table = read_table(self.root, [STATE] if history_dims else [])
+        dims = config.history_dims or []
+        table = read_table(self.root, [STATE] if dims else [])
         self.starts, self.ends, self.present = table.starts, table.ends, table.present
-        self.history_frames = history_frames
-        total = len(self.skill)
-        state = table.columns[STATE].reshape(total, -1) if history_dims else np.empty((total, 0))
-        self.history = state[:, list(history_dims)].astype(np.float32)
+        total = len(self.present)
+        if config.skills == "segments":
+            _, self.skill, self.subgoal = load_labels(self.root)
+        else:
+            self.skill = np.where(self.present, 0, -1)
+            self.subgoal = _ahead(table.starts, table.ends, total, config.subgoal_horizon)
+        counts = np.bincount(self.skill[self.present], minlength=config.n_skills or 1)
+        self.weights = torch.from_numpy(counts.sum() / (len(counts) * np.maximum(counts, 1)))
+        self.ending = _ending(self.skill, table.starts, table.ends, config.meta_period)
+        self.history_frames = config.history_frames
+        state = table.columns[STATE].reshape(total, -1) if dims else np.empty((total, 0))
+        self.history = state[:, dims].astype(np.float32)
+        self._goals = self._frames(config) if config.has_subgoals else None
+
+    def _frames(self, config: BudsConfig) -> NDArray[np.uint8]:
+        camera = config.cameras[0]
+        frames, expected = cached_frames(self.root, camera), tuple(config.image_features[camera].shape)
+        if frames.shape[1:] != expected:
+            raise CheckpointError(
+                f"{self.root}: {camera!r} has shape {frames.shape[1:]}, the policy was made for {expected}."
+            )
+        return frames
 
     def lookup(self, index: Tensor) -> Supervision:
         """Collects the supervision of a batch.
@@ -115,6 +134,39 @@ class LabelTable:
         device = index.device
         return Supervision(
             skill=torch.from_numpy(self.skill[rows]).to(device),
-            goals=torch.from_numpy(self.goals[goals]).to(device).float().div_(255),
+            subgoal=torch.from_numpy(goals),
+            ending=torch.from_numpy(self.ending[rows]).to(device),
             history=torch.from_numpy(history).to(device),
         )
+
+    def goal_images(self, frames: Tensor, device: torch.device) -> Tensor:
+        """Loads workspace images.
+
+        Args:
+            frames: ``(B,)`` int64 absolute indices, on the CPU.
+            device: Where the images are wanted.
+
+        Returns:
+            ``(B, 3, H, W)`` float32 in [0, 1], stored size.
+        """
+        if self._goals is None:
+            raise ValueError("a policy without subgoals has no goal images")
+        return torch.from_numpy(self._goals[frames.numpy()]).to(device).float().div_(255)
+
+
+def _ahead(starts: IntArray, ends: IntArray, total: int, horizon: int) -> IntArray:
+    """Takes whole demonstrations for segments: absolute subgoal of every frame, -1 outside all of them."""
+    subgoal = np.full(total, -1, dtype=np.int64)
+    for start, end in zip(starts, ends, strict=True):
+        subgoal[start:end] = start + subgoals_of(np.zeros(end - start, dtype=np.int64), horizon)
+    return subgoal
+
+
+def _ending(skill: IntArray, starts: IntArray, ends: IntArray, period: int) -> NDArray[np.bool_]:
+    """Marks the last `period` frames of every segment."""
+    marks = np.zeros(len(skill), dtype=np.bool_)
+    for start, end in zip(starts, ends, strict=True):
+        for segment in segments_of(skill[start:end]):
+            last = int(start) + segment.end
+            marks[max(int(start) + segment.start, last - period) : last] = True
+    return marks

@@ -1,86 +1,150 @@
 """The meta controller: picks the skill from the workspace image and imagines its subgoal with a conditional VAE."""
 
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .configuration_buds import BudsConfig
-from .encoders import make_conv_trunk, make_keypoint_encoder, make_mlp, make_pooled_encoder, make_resnet_trunk
+from .encoders import make_keypoint_encoder, make_mlp, make_pooled_encoder, make_trunk
+from .groups import by_group
 
 
 @dataclass(frozen=True)
 class MetaLosses:
-    """The terms of the meta controller's loss, means over the batch (scalars), and the accuracy of its choice."""
+    """The terms of the meta controller's loss, and whether it chose right, per sample, ``(B,)`` floats each."""
 
     skill_id: Tensor
     subgoal: Tensor
     kl: Tensor
-    accuracy: Tensor
+    correct: Tensor
 
 
 class MetaController(nn.Module):
-    """Skill id and subgoal from one workspace image (paper, section on the meta controller).
+    """Skill id and subgoal from one image (paper, section on the meta controller).
 
-    The id head returns logits; the released code took the softmax twice. The subgoal decoder does not see the skill
-    id, as published. With encoder "conv" the image feature are keypoints instead of a global average, which over the
-    few channels of a small trunk would lose where things are.
+    The id head returns logits; the released code took the softmax twice. With encoder "conv" the image feature are
+    keypoints instead of a global average, which over the few channels of a small trunk would lose where things are.
 
     Args:
         config: A configuration whose features and dimensions are settled.
+        n_tasks: Tasks that it is told apart by; 0 if it is not told the task.
     """
 
-    def __init__(self, config: BudsConfig) -> None:
+    def __init__(self, config: BudsConfig, n_tasks: int) -> None:
         super().__init__()
-        channels = config.image_features[config.cameras[0]].shape[0]
+        trunk, feature = make_trunk(config, config.meta_channels, stages=4)
         if config.encoder == "resnet18":
-            trunk, feature = make_resnet_trunk(channels, config.norm, stages=4)
             self.image_encoder = make_pooled_encoder(trunk)
         else:
-            trunk, maps = make_conv_trunk(channels, config.norm, config.conv_channels)
+            self.image_encoder = make_keypoint_encoder(trunk, feature, config.keypoints, config.meta_conv_feature)
             feature = config.meta_conv_feature
-            self.image_encoder = make_keypoint_encoder(trunk, maps, config.keypoints, feature)
-        self.latent = config.meta_latent
+        feature += n_tasks
+        skills = config.n_skills or 1
+        self.n_tasks, self.latent = n_tasks, config.meta_latent
+        self.told_skills = skills if config.decoder_sees_skill else 0
         self.posterior = make_mlp([feature + config.subgoal_dim, *config.meta_encoder_widths, 2 * self.latent])
-        self.decoder = make_mlp([feature + self.latent, *config.meta_head_widths, config.subgoal_dim])
-        self.id_head = make_mlp([feature, *config.meta_head_widths, config.n_skills or 1])
+        decoder_inputs = feature + self.told_skills + self.latent
+        self.decoder = make_mlp([decoder_inputs, *config.meta_head_widths, config.subgoal_dim])
+        self.id_head = make_mlp([feature, *config.meta_head_widths, skills])
 
-    def forward(self, image: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Decides.
+    def propose(self, image: Tensor, task: Tensor) -> tuple[Tensor, Tensor]:
+        """Rates the skills.
 
         Args:
-            image: ``(B, C, H, W)`` workspace image in [0, 1].
-            noise: ``(B, latent)`` standard normal numbers, the latent of the subgoal.
+            image: ``(B, C, H, W)`` image in [0, 1].
+            task: ``(B,)`` int64 numbers of the tasks.
 
         Returns:
-            ``(B,)`` int64 skill ids, and ``(B, subgoal_dim)`` subgoals.
+            ``(B, F)`` features of the observation, and ``(B, K)`` logits of the skills.
         """
         feature = self.image_encoder(image)
-        return self.id_head(feature).argmax(dim=1), self.decoder(torch.cat([feature, noise], dim=1))
+        if self.n_tasks:
+            feature = torch.cat([feature, F.one_hot(task, self.n_tasks).to(feature)], dim=1)
+        return feature, self.id_head(feature)
 
-    def losses(self, image: Tensor, skill: Tensor, subgoal: Tensor) -> MetaLosses:
+    def imagine(self, feature: Tensor, skill: Tensor, latent: Tensor) -> Tensor:
+        """Decodes subgoals.
+
+        Args:
+            feature: ``(B, F)`` what `propose` returned.
+            skill: ``(B,)`` int64 skills that were picked.
+            latent: ``(B, latent)`` numbers from a standard normal distribution.
+
+        Returns:
+            ``(B, subgoal_dim)`` subgoals.
+        """
+        told = [F.one_hot(skill, self.told_skills).to(feature)] if self.told_skills else []
+        subgoals: Tensor = self.decoder(torch.cat([feature, *told, latent], dim=1))
+        return subgoals
+
+    def losses(self, image: Tensor, task: Tensor, skill: Tensor, subgoal: Tensor) -> MetaLosses:
         """Computes the terms of the loss.
 
         The latent is drawn from the posterior in training and is its mean otherwise, so that a validation loss does
         not depend on the generator.
 
         Args:
-            image: ``(B, C, H, W)`` workspace image in [0, 1].
+            image: ``(B, C, H, W)`` image in [0, 1].
+            task: ``(B,)`` int64 numbers of the tasks.
             skill: ``(B,)`` int64 skill labels.
             subgoal: ``(B, subgoal_dim)`` encoded goal images, without gradient.
         """
-        feature = self.image_encoder(image)
-        logits = self.id_head(feature)
-        mean, log_variance = self.posterior(torch.cat([feature, subgoal], dim=1)).chunk(2, dim=1)
+        feature, logits = self.propose(image, task)
+        mean, log_variance = self.posterior(torch.cat([feature, subgoal], dim=1)).float().chunk(2, dim=1)
         latent = mean
         if self.training:
             latent = mean + torch.exp(0.5 * log_variance) * torch.randn_like(mean)
-        decoded = self.decoder(torch.cat([feature, latent], dim=1))
-        kl = 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
+        decoded = self.imagine(feature, skill, latent)
         return MetaLosses(
-            skill_id=F.cross_entropy(logits, skill),
-            subgoal=(decoded - subgoal).square().sum(dim=1).mean(),
-            kl=kl.sum(dim=1).mean(),
-            accuracy=(logits.argmax(dim=1) == skill).float().mean(),
+            skill_id=F.cross_entropy(logits, skill, reduction="none"),
+            subgoal=(decoded - subgoal).square().sum(dim=1),
+            kl=0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=1),
+            correct=(logits.argmax(dim=1) == skill).float(),
         )
+
+
+class MetaControllers(nn.Module):
+    """One meta controller for every task of the configuration (paper), or one for all that is told the task (ours).
+
+    Args:
+        config: A configuration whose features, dimensions and tasks are settled.
+    """
+
+    def __init__(self, config: BudsConfig) -> None:
+        super().__init__()
+        n_tasks = max(1, len(config.tasks))
+        self.per_task = config.meta_controllers == "per_task"
+        told = 0 if self.per_task else n_tasks
+        self.controllers = nn.ModuleList(MetaController(config, told) for _ in range(n_tasks if self.per_task else 1))
+
+    def propose(self, image: Tensor, task: Tensor) -> tuple[Tensor, Tensor]:
+        """Rates the skills, every row by its task's meta controller, see `MetaController.propose`."""
+        feature, logits = by_group(
+            self._number(task), lambda c, rows: self._controller(c).propose(image[rows], task[rows])
+        )
+        return feature, logits
+
+    def imagine(self, feature: Tensor, task: Tensor, skill: Tensor, latent: Tensor) -> Tensor:
+        """Decodes subgoals, every row by its task's meta controller, see `MetaController.imagine`."""
+        (subgoals,) = by_group(
+            self._number(task),
+            lambda c, rows: [self._controller(c).imagine(feature[rows], skill[rows], latent[rows])],
+        )
+        return subgoals
+
+    def losses(self, image: Tensor, task: Tensor, skill: Tensor, subgoal: Tensor) -> MetaLosses:
+        """Computes the terms of the loss, every row by its task's meta controller, see `MetaController.losses`."""
+
+        def compute(c: int, rows: Tensor | slice) -> list[Tensor]:
+            return list(vars(self._controller(c).losses(image[rows], task[rows], skill[rows], subgoal[rows])).values())
+
+        return MetaLosses(*by_group(self._number(task), compute))
+
+    def _number(self, task: Tensor) -> Tensor:
+        return task if self.per_task else torch.zeros_like(task)
+
+    def _controller(self, number: int) -> MetaController:
+        return cast(MetaController, self.controllers[number])

@@ -1,11 +1,12 @@
-"""Policy type ``buds``: K skills and a meta controller, trained together and rolled out at two rates."""
+"""Policy type ``buds``: K skills and meta controllers, trained in one run and rolled out at two rates."""
 
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import torch
+import torch.nn.functional as F
 from lerobot.policies import PreTrainedPolicy
 from torch import Tensor, nn
 
@@ -13,44 +14,56 @@ from lerobot_buds.core import ACTION, STATE, CheckpointError, DatasetError
 
 from .configuration_buds import BudsConfig
 from .images import random_shift, scale_images
-from .labels import LabelTable
-from .meta_controller import MetaController
+from .labels import LabelTable, Supervision
+from .meta_controller import MetaControllers
 from .proprioception import Proprioception
-from .rollout import Rollout
-from .settling import check_render_profile, check_task, settle_on_dataset, settle_without_dataset
+from .reuse import TrainedSkills
+from .rollout import Rollout, choose_skills
+from .settling import check_render_profile, settle_on_dataset, settle_without_dataset, task_number
 from .skills import SkillLibrary
+from .targets import TargetTable
+
+Override = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
-    """Skills that pursue subgoals, and the meta controller that picks skill and subgoal (paper).
+    """Skills that pursue subgoals, and the meta controllers that pick skill and subgoal (paper).
 
-    The released code trains skills first and the meta controller on the finished subgoal encoders. Here one run trains
-    both: the meta controller's targets are the encoders' current outputs, without gradient, so that it follows them.
+    The released code trains skills first and the meta controller on the finished subgoal encoders; one run with
+    ``schedule="sequential"`` does the same. With ``"joint"`` the meta controller's targets are the encoders' current
+    outputs, without gradient, so that it follows them.
 
     Args:
         config: The configuration; fields it leaves open are filled in place.
         dataset_stats: LeRobot's statistics of the dataset.
-        dataset_meta: LeRobot's metadata of the segmented dataset to train on; without it the policy can only act.
+        dataset_meta: LeRobot's metadata of the dataset to train on; without it the policy can only act.
+        from_checkpoint: Weights will be loaded, so that those of a skill library are not wanted.
         kwargs: Whatever else LeRobot's factory hands to constructors; not used.
 
     Raises:
         ConfigError: The configuration cannot work with the features.
         SegmentationError: The dataset has no valid labels.
-        CheckpointError: The configuration comes from a checkpoint that does not fit the dataset.
+        CheckpointError: The checkpoint or the skill library does not fit the dataset.
     """
 
     config_class = BudsConfig
     name = "buds"
+    trained_steps: Tensor
 
     def __init__(
         self,
         config: BudsConfig,
         dataset_stats: dict[str, dict[str, Any]] | None = None,
         dataset_meta: Any = None,
+        from_checkpoint: bool = False,
         **kwargs: Any,
     ) -> None:
         super().__init__(config)
         self.config: BudsConfig = config
+        taken = None
+        if config.skills_path is not None and not from_checkpoint:
+            taken = TrainedSkills.read(config.skills_path)
+            taken.adopt(config)
         config.validate_features()
         if dataset_meta is None:
             settle_without_dataset(config)
@@ -58,53 +71,140 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             settle_on_dataset(config, dataset_meta)
         self.proprioception = Proprioception(config, dataset_stats)
         self.skills = SkillLibrary(config)
-        self.meta_controller = MetaController(config)
+        self.meta_controllers = MetaControllers(config) if config.has_subgoals else None
+        self.register_buffer("trained_steps", torch.zeros((), dtype=torch.int64))
+        if taken is not None:
+            taken.load_into(self)
+        self.skills.requires_grad_(config.skills_path is None)
+        if config.compile_model:
+            self._compile_encoders()
         self._dataset_root = Path(dataset_meta.root) if dataset_meta is not None else None
         self._labels: LabelTable | None = None
+        self._targets: TargetTable | None = None
         self._rollouts: dict[int, Rollout] = {}
 
-    def get_optim_params(self) -> list[dict[str, Any]]:
-        """Returns one named parameter group for the skills and one for the meta controller."""
-        parts: dict[str, nn.Module] = {"skills": self.skills, "meta_controller": self.meta_controller}
-        return [
-            {"name": name, "params": [p for p in part.parameters() if p.requires_grad]} for name, part in parts.items()
-        ]
+    @classmethod
+    def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:
+        """Reads a checkpoint, see LeRobot's method of the same name; frozen skills are part of it."""
+        policy: Self = super().from_pretrained(pretrained_name_or_path, from_checkpoint=True, **kwargs)
+        return policy
 
-    def forward(self, batch: dict[str, Any]) -> tuple[Tensor, dict[str, float]]:
+    def get_optim_params(self) -> list[dict[str, Any]]:
+        """Returns one named parameter group for what is trained of skills and meta controllers each."""
+        parts: dict[str, nn.Module | None] = {"skills": self.skills, "meta_controllers": self.meta_controllers}
+        trained = {
+            name: [p for p in part.parameters() if p.requires_grad] for name, part in parts.items() if part is not None
+        }
+        return [{"name": name, "params": params} for name, params in trained.items() if params]
+
+    def train(self, mode: bool = True) -> Self:
+        """Switches to training, in which skills that are not trained now keep their batch statistics."""
+        super().train(mode)
+        if mode and not self._learns_skills:
+            self.skills.eval()
+        return self
+
+    def update(self) -> None:
+        """Counts a training step; LeRobot calls it after each."""
+        self.trained_steps += 1
+
+    def forward(self, batch: dict[str, Any], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
         """Computes the training loss; every term is a mean over the batch, so the batch size does not weigh them.
 
         Args:
-            batch: LeRobot's batch: the inputs, ``action`` ``(B, A)``, and ``index`` ``(B,)``, the absolute frames.
+            batch: LeRobot's batch: the inputs, ``action`` ``(B, A)`` or ``(B, n, A)``, and ``index`` ``(B,)``, the
+                absolute frames.
+            reduction: ``"mean"``, or ``"none"`` for the loss of every sample, as LeRobot's weighting asks for.
 
         Returns:
-            The loss (scalar), and its terms and the accuracy of the skill ids, the same keys at every step.
+            The loss (scalar, or ``(B,)``), and its terms and the accuracy of the skill ids, the same keys at every
+            step; parts that are not trained now count as 0.
 
         Raises:
             CheckpointError: An input is missing or has another shape than the policy was made for.
             ConfigError: A task is unknown.
         """
-        images, state = self._inputs(batch)
+        images, state, task = self._inputs(batch)
         labels = self._label_table().lookup(batch["index"])
-        goals = scale_images(labels.goals, self.config.image_shape)
-        subgoal = self.skills.encode_subgoals(labels.skill, goals)
-        if self.training and self.skills.uses_batch_statistics:
-            target = self.skills.subgoal_targets(labels.skill, goals)
-        else:
-            target = subgoal.detach()
         if self.training:
             images = random_shift(images, self.config.crop_padding)
+        subgoal = target = images.new_zeros(len(images), 0)
+        loss = torch.zeros(len(images), device=images.device)
+        terms = dict.fromkeys(self._terms(), loss)
+        if self._learns_skills or not self.training:
+            if self.meta_controllers is not None:
+                subgoal, target = self._encoded_goals(labels)
+            terms |= self._skill_terms(batch, labels, images, state, subgoal)
+            loss = loss + sum(terms[name] for name in ("skill_loss", "termination_loss") if name in terms)
+        if self.meta_controllers is not None and (self._learns_meta or not self.training):
+            if not target.shape[1]:
+                target = self._kept_targets(batch["index"], labels)
+            meta = self.meta_controllers.losses(self._seen_by_meta(images), task, labels.skill, target)
+            terms |= {
+                "skill_id_loss": meta.skill_id,
+                "subgoal_loss": meta.subgoal,
+                "kl_loss": meta.kl,
+                "skill_id_accuracy": meta.correct,
+            }
+            loss = loss + meta.skill_id + meta.subgoal + self.config.kl_weight * meta.kl
+        means = torch.stack([term.detach().float().mean() for term in terms.values()]).tolist()
+        return loss if reduction == "none" else loss.mean(), dict(zip(terms, means, strict=True))
+
+    def _terms(self) -> list[str]:
+        skills = ["skill_loss", *(["termination_loss"] if self.config.termination else [])]
+        meta = ["skill_id_loss", "subgoal_loss", "kl_loss", "skill_id_accuracy"]
+        return skills + meta if self.meta_controllers is not None else skills
+
+    def _skill_terms(
+        self, batch: dict[str, Any], labels: Supervision, images: Tensor, state: Tensor, subgoal: Tensor
+    ) -> dict[str, Tensor]:
+        """Computes the skills' terms of the loss, ``(B,)`` each."""
+        if self.training:
             subgoal = subgoal + self.config.subgoal_noise * torch.randn_like(subgoal)
-        actions = self.skills(labels.skill, images, subgoal, self.proprioception(state, labels.history))
-        skill_loss = (actions - batch[ACTION]).square().sum(dim=1).mean()
-        meta = self.meta_controller.losses(self._workspace(images), labels.skill, target)
-        loss = skill_loss + meta.skill_id + meta.subgoal + self.config.kl_weight * meta.kl
-        return loss, {
-            "skill_loss": skill_loss.item(),
-            "skill_id_loss": meta.skill_id.item(),
-            "subgoal_loss": meta.subgoal.item(),
-            "kl_loss": meta.kl.item(),
-            "skill_id_accuracy": meta.accuracy.item(),
-        }
+        proprio = self.proprioception(state, labels.history)
+        predicted, ending = self.skills(labels.skill, images, subgoal, proprio)
+        wanted = batch[ACTION] if self.config.chunk_size > 1 else batch[ACTION][:, None]
+        errors = (predicted - wanted).square().sum(dim=2)  # (B, n)
+        padded = batch.get("action_is_pad")
+        inside = torch.ones_like(errors) if padded is None else (~padded).to(errors)
+        weight = self._label_table().weights.to(errors)[labels.skill] if self.config.balance_skills else 1.0
+        terms = {"skill_loss": weight * (errors * inside).sum(dim=1) / inside.sum(dim=1)}
+        if self.config.termination:
+            losses = F.binary_cross_entropy_with_logits(ending, labels.ending.to(ending), reduction="none")
+            terms["termination_loss"] = weight * losses
+        return terms
+
+    def _encoded_goals(self, labels: Supervision) -> tuple[Tensor, Tensor]:
+        """Encodes the goals of a batch for the skills, and for the meta controllers: without batch statistics."""
+        goals = self._goal_images(labels.subgoal, labels.skill.device)
+        subgoal = self.skills.encode_subgoals(labels.skill, goals)
+        if self.training and self._learns_meta and self.skills.uses_batch_statistics:
+            return subgoal, self.skills.subgoal_targets(labels.skill, goals)
+        return subgoal, subgoal.detach()
+
+    def _kept_targets(self, index: Tensor, labels: Supervision) -> Tensor:
+        """Looks up the goals of a batch as skills that do not change encode them."""
+        if self._targets is None:
+            frames = len(self._label_table().skill)
+            self._targets = TargetTable(frames, self.config.subgoal_dim, labels.skill.device)
+
+        def compute(rows: Tensor) -> Tensor:
+            goals = self._goal_images(labels.subgoal[rows.cpu()], labels.skill.device)
+            return self.skills.subgoal_targets(labels.skill[rows], goals)
+
+        return self._targets.lookup(index, compute)
+
+    @property
+    def _learns_skills(self) -> bool:
+        if self.config.skills_path is not None:
+            return False
+        if self.config.schedule == "joint" or self.meta_controllers is None:
+            return True
+        return int(self.trained_steps) < (self.config.skill_steps or 0)
+
+    @property
+    def _learns_meta(self) -> bool:
+        return self.config.schedule == "joint" or not self._learns_skills
 
     def reset(self) -> None:
         """Forgets the calling thread's rollout; LeRobot may evaluate several tasks in threads that share the policy."""
@@ -112,11 +212,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
 
     @torch.no_grad()
     def select_action(
-        self,
-        batch: dict[str, Any],
-        noise: Tensor | None = None,
-        override: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]] | None = None,
-        **kwargs: Any,
+        self, batch: dict[str, Any], noise: Tensor | None = None, override: Override | None = None, **kwargs: Any
     ) -> Tensor:
         """Runs one control step of all environments of a batch.
 
@@ -135,25 +231,45 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             CheckpointError: An input is missing or has another shape than the policy was made for.
             ConfigError: A task is unknown.
         """
-        self.eval()
-        images, state = self._inputs(batch)
+        if self.training:
+            self.eval()
+        images, state, task = self._inputs(batch)
         reading = self.proprioception.reading(state)
         rollout = self._rollouts.get(threading.get_ident())
         if rollout is None or len(rollout.skill) != len(images):
-            rollout = Rollout.start(reading, self.config.history_frames, self.config.subgoal_dim)
+            rollout = self._start(reading)
             self._rollouts[threading.get_ident()] = rollout
         due = rollout.steps_left == 0
-        if due.any():
-            if noise is None:
-                noise = torch.randn(len(images), self.config.meta_latent)
-            skill, subgoal = self.meta_controller(self._workspace(images)[due], noise.to(images)[due])
+        if self.meta_controllers is not None and due.any():
+            rows = due.nonzero()[:, 0]
+            skill, subgoal = self._decide(rollout, rows, images, task, noise)
             if override is not None:
-                skill, subgoal = override(due.nonzero()[:, 0], skill, subgoal)
+                skill, subgoal = override(rows, skill, subgoal)
             rollout.decide(due, skill, subgoal, self.config.meta_period)
         proprio = self.proprioception(state, rollout.history)
-        actions: Tensor = self.skills(rollout.skill, images, rollout.subgoal, proprio)
-        rollout.advance(reading)
-        return actions
+        actions, ending = self.skills(rollout.skill, images, rollout.subgoal, proprio)
+        ended = ending > 0 if self.config.termination else torch.ones_like(due)
+        return rollout.advance(reading, actions, ended, self.config.ensemble_decay)
+
+    def _start(self, reading: Tensor) -> Rollout:
+        config = self.config
+        chunk = config.chunk_size, int(config.action_feature.shape[0])
+        if config.has_subgoals:
+            return Rollout.start(reading, config.history_frames, config.subgoal_dim, chunk)
+        return Rollout.start(reading, config.history_frames, 0, chunk, skill=0)
+
+    def _decide(
+        self, rollout: Rollout, rows: Tensor, images: Tensor, task: Tensor, noise: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """Asks the meta controllers of some rows for ``(D,)`` skills and ``(D, subgoal_dim)`` subgoals."""
+        assert self.meta_controllers is not None
+        if noise is None:
+            noise = torch.randn(len(images), self.config.meta_latent)
+        if not self.config.drawn_subgoals:
+            noise = torch.zeros_like(noise)
+        feature, logits = self.meta_controllers.propose(self._seen_by_meta(images)[rows], task[rows])
+        skill = choose_skills(logits, rollout.skill[rows], rollout.ended[rows], self.config.switch_margin)
+        return skill, self.meta_controllers.imagine(feature, task[rows], skill, noise.to(images)[rows])
 
     def predict_action_chunk(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
         """Runs one control step and returns its action as a chunk of length 1, ``(B, 1, A)``."""
@@ -167,24 +283,26 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
 
     def __getstate__(self) -> dict[str, Any]:
         """Leaves tables and rollouts out of copies: they belong to one process, and are rebuilt when needed."""
-        return {**self.__dict__, "_labels": None, "_rollouts": {}}
+        return {**self.__dict__, "_labels": None, "_targets": None, "_rollouts": {}}
 
     def _label_table(self) -> LabelTable:
         if self._labels is None:
             if self._dataset_root is None:
                 raise DatasetError("This policy was built without a dataset: it can act, but not compute a loss.")
-            camera = self.config.cameras[0]
-            self._labels = LabelTable(
-                self._dataset_root,
-                camera,
-                tuple(self.config.image_features[camera].shape),
-                self.config.history_dims or [],
-                self.config.history_frames,
-            )
+            self._labels = LabelTable(self._dataset_root, self.config)
         return self._labels
 
-    def _inputs(self, batch: dict[str, Any]) -> tuple[Tensor, Tensor]:
-        """Checks a batch; returns stacked images ``(B, C, H, W)`` of network size, and the state ``(B, D)``."""
+    def _goal_images(self, frames: Tensor, device: torch.device) -> Tensor:
+        return scale_images(self._label_table().goal_images(frames, device), self.config.image_shape)
+
+    def _compile_encoders(self) -> None:
+        encoders = {"image_encoder", "subgoal_encoder", "image_trunk", "goal_trunk"}
+        for name, module in self.named_modules():
+            if name.rpartition(".")[2] in encoders:
+                module.compile(dynamic=True)  # a skill's share of a batch changes from step to step
+
+    def _inputs(self, batch: dict[str, Any]) -> tuple[Tensor, Tensor, Tensor]:
+        """Checks a batch; returns images ``(B, C, H, W)`` of network size, state ``(B, D)`` and tasks ``(B,)``."""
         missing = [key for key in self.config.input_features if key not in batch]
         if missing:
             known = sorted(key for key in batch if key.startswith("observation"))
@@ -194,11 +312,11 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             if expected != given:
                 raise CheckpointError(f"{key}: the policy was made for shape {expected}, the observation has {given}.")
         check_render_profile(self.config, batch.get("observation.render_profile"))
-        for task in set(batch.get("task") or [""]):
-            check_task(self.config, task)
         scaled = [scale_images(batch[key], self.config.image_shape) for key in self.config.cameras]
         images = torch.cat(scaled, dim=1)
-        return images, batch[STATE] if STATE in self.config.input_features else images.new_zeros(len(images), 0)
+        state = batch[STATE] if STATE in self.config.input_features else images.new_zeros(len(images), 0)
+        tasks = [task_number(self.config, task) for task in batch.get("task") or [""] * len(images)]
+        return images, state, torch.tensor(tasks, device=images.device)
 
-    def _workspace(self, images: Tensor) -> Tensor:
-        return images[:, : self.config.image_features[self.config.cameras[0]].shape[0]]
+    def _seen_by_meta(self, images: Tensor) -> Tensor:
+        return images[:, : self.config.meta_channels]

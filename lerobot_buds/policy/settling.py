@@ -13,7 +13,6 @@ from lerobot_buds.core import (
     ConfigError,
     near_names,
     select_dims,
-    sha256_of_json,
 )
 from lerobot_buds.demos import read_collection
 from lerobot_buds.envs import PROFILES
@@ -36,15 +35,19 @@ def settle_on_dataset(config: BudsConfig, meta: Any) -> None:
         meta: LeRobot's dataset metadata.
 
     Raises:
-        SegmentationError: The dataset has no valid labels.
+        SegmentationError: The policy has skills as labelled, and the dataset has no valid labels.
         CheckpointError: Number of skills, labels, frame rate, cameras or state differ from what the configuration says.
         ConfigError: The dataset has tasks that the configuration does not know.
     """
     _check_features(config, meta)
-    record, _, _ = load_labels(meta.root)
-    config.n_skills = _agree("n_skills", config.n_skills, int(record.n_skills), meta.root)
-    labels = sha256_of_json([episode.sha256 for episode in record.episodes])
-    config.segmentation = _agree("segmentation", config.segmentation, labels, meta.root, _OTHER_LABELS)
+    if config.skills == "segments":
+        record, _, _ = load_labels(meta.root)
+        config.n_skills = _agree("n_skills", config.n_skills, int(record.n_skills), meta.root)
+        if config.segmentation not in record.lineage:  # else the dataset's skills are those of the policy
+            labels = record.labels_hash
+            config.segmentation = _agree("segmentation", config.segmentation, labels, meta.root, _OTHER_LABELS)
+    else:
+        config.n_skills = _agree("n_skills", config.n_skills, 1, meta.root)
     config.fps = _agree("fps", config.fps, int(meta.fps), meta.root)
     if (profile := read_collection(Path(meta.root)).get("render_profile")) is not None:
         config.render_profile = _agree("render_profile", config.render_profile, profile, meta.root)
@@ -53,7 +56,7 @@ def settle_on_dataset(config: BudsConfig, meta: Any) -> None:
     tasks = [str(task) for task in meta.tasks.index]
     config.tasks = config.tasks or tasks
     for task in tasks:
-        check_task(config, task)
+        task_number(config, task)
     settle_state(config)
 
 
@@ -104,18 +107,23 @@ def state_names(features: dict[str, Any]) -> list[str]:
     return [str(name) for name in names] if complete else []
 
 
-def check_task(config: BudsConfig, task: str) -> None:
-    """Refuses a task that the policy was not trained on; no task at all is fine where there is just one.
+def task_number(config: BudsConfig, task: str) -> int:
+    """Looks a task up; no task at all is fine where there is just one.
 
     Args:
         config: Its `tasks` are the known ones; where it knows none (an untrained policy), all pass.
         task: Task string.
 
+    Returns:
+        Its position among the tasks of the configuration.
+
     Raises:
         ConfigError: The task is unknown.
     """
-    if not config.tasks or task in config.tasks or (task == "" and len(config.tasks) == 1):
-        return
+    if task in config.tasks:
+        return config.tasks.index(task)
+    if not config.tasks or (task == "" and len(config.tasks) == 1):
+        return 0
     known = near_names(task, config.tasks)
     raise ConfigError(f"The policy does not know the task {task!r}. {known} To train on others too, set policy.tasks.")
 

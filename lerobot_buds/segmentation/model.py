@@ -38,11 +38,13 @@ class SkillModel:
         representation: Makes a latent of every frame.
         config: Settings of skill discovery.
         library: Exemplars of the skills.
+        lineage: The segmentations that gave the skills their numbers, see `SegmentationRecord.lineage`.
     """
 
     representation: "Representation"
     config: DiscoveryConfig
     library: SkillLibrary
+    lineage: tuple[str, ...] = ()
 
     def label(self, dataset: "LeRobotDataset | Path", grow: bool = False) -> "DiscoveredSkills":
         """Labels a dataset with the skills of the library.
@@ -62,7 +64,7 @@ class SkillModel:
         min_length = frames_of_seconds(self.config.min_skill_s, fps)
         labels = self.library.label(latents, bounds, grow=grow, min_length=min_length)
         library = self.library.with_demonstrations(latents, bounds, labels)
-        return DiscoveredSkills(labels, latents, SkillModel(self.representation, self.config, library))
+        return DiscoveredSkills(labels, latents, SkillModel(self.representation, self.config, library, self.lineage))
 
     def save(self, root: Path) -> None:
         """Writes representation and exemplars into a segmented dataset; the settings are in its record.
@@ -99,7 +101,7 @@ class SkillModel:
                 f"{root / SEGMENTATION_FILE} has settings that this version does not know ({error}); segment that "
                 "dataset again."
             ) from error
-        return cls(Representation.load(root / REPRESENTATION_DIR), config, read_library(root))
+        return cls(Representation.load(root / REPRESENTATION_DIR), config, read_library(root), record.lineage)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from lerobot_buds.core import (
     read_json,
     refuse_newer,
     segments_of,
+    sha256_of_json,
     subgoals_of,
     write_json,
 )
@@ -84,7 +85,8 @@ class SegmentationRecord:
         seeds: Seed of every random stage.
         representation: Description of the latents, with a hash of the weights or settings that made them.
         agreement: Scores against true stages, where these are known.
-        library: The segmented dataset whose skills were taken over, where there is one, and how many they were.
+        library: The segmented dataset whose skills were taken over, where there is one, whether others were added,
+            and its `lineage`.
         silhouettes: Where the number of skills was chosen, how well each number parts the segments.
         schema_version: Version of the record's format.
         package_version: Version of this package that wrote it.
@@ -139,6 +141,16 @@ class SegmentationRecord:
     def labels(self) -> list[IntArray]:
         """The skill of every frame: one ``(T,)`` int64 array per episode."""
         return [labels_of(list(episode.segments)) for episode in self.episodes]
+
+    @property
+    def labels_hash(self) -> str:
+        """Names the labels: skill ids of datasets with the same hash mean the same."""
+        return sha256_of_json([episode.sha256 for episode in self.episodes])
+
+    @property
+    def lineage(self) -> tuple[str, ...]:
+        """The `labels_hash` of this segmentation and of those whose skills it took over, one after the other."""
+        return (self.labels_hash, *(self.library or {}).get("lineage", ()))
 
     @property
     def skills(self) -> list[dict[str, float]]:

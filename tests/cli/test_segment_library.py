@@ -43,8 +43,10 @@ def test_a_dataset_carries_what_it_takes_to_label_others(
     # Nothing but these files is needed, and the demonstrations they were made from least of all.
     shutil.copytree(library / "meta/buds", tmp_path / "alone/meta/buds")
     record = segment(pass_with(source, tmp_path, settings, library=str(tmp_path / "alone")))
-    assert record is not None and record.library == {"name": str(tmp_path / "alone"), "grown": False}
+    assert record is not None and record.library is not None
     before = SegmentationRecord.read(library)
+    assert record.library == {"name": str(tmp_path / "alone"), "grown": False, "lineage": [before.labels_hash]}
+    assert record.lineage == (record.labels_hash, before.labels_hash)
     assert [e.tolist() for e in record.labels] == [e.tolist() for e in before.labels]
     assert (record.n_skills, record.parameters) == (before.n_skills, before.parameters)
     extended = read_library(tmp_path / "skills")

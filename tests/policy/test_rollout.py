@@ -39,13 +39,13 @@ def test_batched_steps_equal_single_ones(build, observe):
 def test_a_decision_is_held_for_exactly_its_period(build, observe, monkeypatch):
     policy = build()
     decisions = []
-    decide = policy.meta_controller.forward
+    propose = policy.meta_controllers.propose
 
-    def count(image, noise):
+    def count(*arguments):
         decisions.append(step)
-        return decide(image, noise)
+        return propose(*arguments)
 
-    monkeypatch.setattr(policy.meta_controller, "forward", count)
+    monkeypatch.setattr(policy.meta_controllers, "propose", count)
     for episode in range(2):
         policy.reset()
         assert policy.current_skills is None

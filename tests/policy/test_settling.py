@@ -19,7 +19,7 @@ from lerobot_buds.core import (
 )
 from lerobot_buds.envs import PROFILES
 from lerobot_buds.policy import BudsConfig
-from lerobot_buds.policy.settling import check_render_profile, check_task, settle_state, state_names
+from lerobot_buds.policy.settling import check_render_profile, settle_state, state_names, task_number
 
 
 def config_of(**overrides):
@@ -150,13 +150,13 @@ def test_an_unsegmented_dataset_is_refused_before_training(build, meta, tmp_path
 
 def test_unknown_tasks_are_refused_near_matches_first():
     config = config_of(tasks=["Close the drawer", "Boil the pot"])
-    check_task(config, "Boil the pot")
+    task_number(config, "Boil the pot")
     with pytest.raises(ConfigError, match=r"'Close the drawr'.*Did you mean 'Close the drawer'.*'Boil the pot'"):
-        check_task(config, "Close the drawr")
+        task_number(config, "Close the drawr")
     with pytest.raises(ConfigError, match="''"):
-        check_task(config, "")
-    check_task(config_of(tasks=["Boil the pot"]), "")
-    check_task(config_of(), "anything")
+        task_number(config, "")
+    task_number(config_of(tasks=["Boil the pot"]), "")
+    task_number(config_of(), "anything")
 
 
 def test_a_dataset_with_an_unknown_task_is_refused(build):

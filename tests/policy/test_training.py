@@ -143,5 +143,5 @@ def test_an_unknown_task_in_a_batch_is_refused(build, batch_of):
 def test_parameter_groups_are_named_and_complete(build):
     policy = build()
     groups = policy.get_optim_params()
-    assert [group["name"] for group in groups] == ["skills", "meta_controller"]
+    assert [group["name"] for group in groups] == ["skills", "meta_controllers"]
     assert sum(len(group["params"]) for group in groups) == len(list(policy.parameters()))

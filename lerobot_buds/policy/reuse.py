@@ -1,0 +1,99 @@
+"""Takes the skills of a trained policy over into a new one, which trains a meta controller on them only."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+from lerobot.configs import PreTrainedConfig
+from safetensors import SafetensorError, safe_open
+from torch import Tensor, nn
+
+from lerobot_buds.core import CheckpointError
+from lerobot_buds.representation import download
+
+from .configuration_buds import LIBRARY_FIELDS, BudsConfig
+
+logger = logging.getLogger(__name__)
+
+PARTS = ("skills", "proprioception")
+"""Modules of a policy that make up its skills."""
+
+_CONFIG, _WEIGHTS = "config.json", "model.safetensors"
+
+
+@dataclass(frozen=True)
+class TrainedSkills:
+    """The skills of a checkpoint.
+
+    Attributes:
+        name: Where they come from.
+        config: Configuration of that policy.
+        tensors: Weights and buffers of `PARTS`, by their names in the policy.
+    """
+
+    name: str
+    config: BudsConfig
+    tensors: dict[str, Tensor]
+
+    @classmethod
+    def read(cls, name: str) -> "TrainedSkills":
+        """Reads the skills of a checkpoint, and nothing else of it.
+
+        Args:
+            name: Folder of a policy's checkpoint, or its repository on the Hub.
+
+        Raises:
+            CheckpointError: It cannot be had, is damaged, or is not a policy with skills.
+        """
+        folder = Path(name)
+        if not folder.is_dir():
+            folder = download(name, [_CONFIG, _WEIGHTS])
+        try:
+            config = PreTrainedConfig.from_pretrained(folder, local_files_only=True)
+            with safe_open(folder / _WEIGHTS, framework="pt") as file:
+                keys = [key for key in file.keys() if key.split(".")[0] in PARTS]  # noqa: SIM118 (not a dictionary)
+                tensors = {key: file.get_tensor(key) for key in keys}
+        except (OSError, ValueError, KeyError, SafetensorError) as error:
+            raise CheckpointError(f"{name} holds no readable policy ({type(error).__name__}: {error}).") from error
+        if not isinstance(config, BudsConfig) or not config.has_subgoals:
+            raise CheckpointError(f"{name} holds a policy of type {config.type!r} without skills to take over.")
+        return cls(name, config, tensors)
+
+    def adopt(self, config: BudsConfig) -> None:
+        """Makes a new configuration's skills those of this one.
+
+        Args:
+            config: Changed in place: `LIBRARY_FIELDS`, and the cameras and the state where it has none yet.
+
+        Raises:
+            CheckpointError: Cameras, state or actions have other shapes.
+        """
+        for kind in ("input_features", "output_features"):
+            mine, theirs = getattr(self.config, kind), getattr(config, kind)
+            for key, feature in mine.items():
+                found = theirs.get(key)
+                if found is None or tuple(found.shape) != tuple(feature.shape):
+                    raise CheckpointError(
+                        f"The skills of {self.name} need {key} of shape {tuple(feature.shape)}, the data has "
+                        f"{'none' if found is None else tuple(found.shape)}. It has {sorted(theirs)}."
+                    )
+            setattr(config, kind, dict(mine))
+        for name in LIBRARY_FIELDS:
+            setattr(config, name, getattr(self.config, name))
+
+    def load_into(self, policy: nn.Module) -> None:
+        """Copies the weights into a policy whose configuration has adopted this one's.
+
+        Args:
+            policy: Its modules `PARTS` are overwritten.
+
+        Raises:
+            CheckpointError: Names or shapes of the weights differ.
+        """
+        for part in PARTS:
+            tensors = {k.removeprefix(f"{part}."): v for k, v in self.tensors.items() if k.startswith(f"{part}.")}
+            try:
+                policy.get_submodule(part).load_state_dict(tensors)
+            except RuntimeError as error:
+                raise CheckpointError(f"The skills of {self.name} do not fit their configuration: {error}") from error
+        logger.info("Took %d skills over from %s; they are frozen.", self.config.n_skills, self.name)
