@@ -18,14 +18,9 @@ from lerobot_buds.core import (
     segments_of,
 )
 from lerobot_buds.segmentation import PRESETS, DiscoveryConfig, baselines, preset
+from lerobot_buds.segmentation.cuts import CUTS, SHORTEST_S, SMOOTHING_S, Cut
 
 from .agreement import Agreement, agreement, label_distance
-
-_SHORTEST_S = 1.0
-_UNIFORM_S = 2.0
-_SMOOTHING_S = 0.125
-_CELL_S = 0.25
-_PRIOR_S = (4.0, 2.0)
 
 
 @dataclass(frozen=True)
@@ -91,33 +86,8 @@ class Result:
         ]
 
 
-def _uniform(data: Demonstrations) -> list[IntArray]:
-    length = frames_of_seconds(_UNIFORM_S, data.fps)
-    return [baselines.uniform_segments(len(latents), length) for latents in data.latents]
-
-
-def _kernel_change_points(data: Demonstrations) -> list[IntArray]:
-    gamma, shortest = baselines.kernel_width(data.latents), frames_of_seconds(_SHORTEST_S, data.fps)
-    return [baselines.kernel_change_points(latents, shortest, gamma) for latents in data.latents]
-
-
-def _mean_change_points(data: Demonstrations) -> list[IntArray]:
-    shortest = frames_of_seconds(_SHORTEST_S, data.fps)
-    return [baselines.mean_change_points(latents, shortest) for latents in data.latents]
-
-
-def _map_change_points(data: Demonstrations) -> list[IntArray]:
-    cell, mean, spread, shortest = (frames_of_seconds(s, data.fps) for s in (_CELL_S, *_PRIOR_S, _SHORTEST_S))
-    return [baselines.map_change_points(latents, cell, mean, spread, shortest) for latents in data.latents]
-
-
-def _visual_subgoals(data: Demonstrations) -> list[IntArray]:
-    shortest = frames_of_seconds(_SHORTEST_S, data.fps)
-    return [baselines.visual_subgoals(latents, shortest, _SMOOTHING_S * data.fps) for latents in data.latents]
-
-
 def _grip_and_rest(data: Demonstrations) -> list[IntArray]:
-    shortest, smoothing = frames_of_seconds(_SHORTEST_S, data.fps), _SMOOTHING_S * data.fps
+    shortest, smoothing = frames_of_seconds(SHORTEST_S, data.fps), SMOOTHING_S * data.fps
     pairs = zip(data.position, data.gripper, strict=True)
     return [baselines.grip_and_rest(position, gripper, shortest, smoothing) for position, gripper in pairs]
 
@@ -126,13 +96,13 @@ def _true_stages(data: Demonstrations) -> list[IntArray]:
     return [baselines.stage_segments(stages) for stages in data.stages]
 
 
+def _on_latents(cut: Cut) -> Callable[[Demonstrations], list[IntArray]]:
+    return lambda data: cut(data.latents, data.fps)
+
+
 BASELINES: dict[str, Callable[[Demonstrations], list[IntArray]]] = {
-    "kernel change points": _kernel_change_points,
-    "mean change points": _mean_change_points,
-    "MAP change points": _map_change_points,
-    "UVD": _visual_subgoals,
+    **{name: _on_latents(cut) for name, cut in CUTS.items()},
     "grip and rest": _grip_and_rest,
-    "uniform": _uniform,
     "true stages": _true_stages,
 }
 """How each baseline cuts all demonstrations. The last one is an oracle."""

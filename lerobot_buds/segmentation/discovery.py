@@ -1,7 +1,7 @@
 """Skill discovery from latents: tree, temporal segments and skill partition behind one estimator."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -32,6 +32,8 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             ``"auto"`` clusters into the number from 2 to `max_skills` that parts the segments best, see
             `choose_n_skills`, and then dissolves short skills as without it.
         segments_per_episode: Temporal segments wanted per demonstration; None for twice the number of skills (notes).
+        cutter: Cuts the demonstrations in the place of the tree, for example one of `CUTS`: from their latents to
+            ``(S, 2)`` int64 half-open spans that tile each. None for the tree.
         search: How the tree is cut: by ``levels`` (paper), or ``best_first`` for an exact number of segments (ours).
         min_segment_length: Nodes of the tree of this many frames or fewer are not split.
         min_skill_length: Shortest mean segment of a skill (frames).
@@ -65,6 +67,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         max_skills: int = 10,
         n_skills: int | Literal["auto"] | None = None,
         segments_per_episode: int | None = None,
+        cutter: Callable[[Sequence[FloatArray]], list[IntArray]] | None = None,
         search: Search = "levels",
         min_segment_length: int = 20,
         min_skill_length: int = 30,
@@ -80,6 +83,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         self.max_skills = max_skills
         self.n_skills = n_skills
         self.segments_per_episode = segments_per_episode
+        self.cutter = cutter
         self.search = search
         self.min_segment_length = min_segment_length
         self.min_skill_length = min_skill_length
@@ -148,7 +152,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         return self
 
     def cut(self, latents: Sequence[FloatArray]) -> list[IntArray]:
-        """Cuts demonstrations into temporal segments by their trees, without looking for skills.
+        """Cuts demonstrations into temporal segments without looking for skills.
 
         Args:
             latents: ``(T, D)`` latents of every demonstration.
@@ -164,6 +168,8 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         return self._cut(checked_latents(latents), self._exact or self.max_skills)
 
     def _cut(self, episodes: list[FloatArray], skills: int) -> list[IntArray]:
+        if self.cutter is not None:
+            return tiling(episodes, self.cutter(episodes))
         wanted = self.segments_per_episode or 2 * skills
         unit = _median_distance(episodes, self.window, self.feature) if self.relative_penalty else 1.0
 

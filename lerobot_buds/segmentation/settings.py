@@ -5,9 +5,12 @@ from typing import Any, Literal
 
 from lerobot_buds.core import ConfigError, frames_of_seconds, near_names
 
+from .cuts import CUTS
 from .discovery import SkillDiscovery
 from .temporal import Search
 from .tree import Feature
+
+TREE = "tree"
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,10 @@ class DiscoveryConfig:
 
     segments_per_episode: int | None = None
     """Temporal segments per demonstration; None for twice the skills. Implementation notes: 2."""
+
+    cut: str = TREE
+    """How demonstrations are cut into temporal segments: by the ``tree`` (paper), or by a baseline, a key of `CUTS`;
+    with ``kernel change points`` this is the paper's baseline CP."""
 
     search: Search = "levels"
     """How the tree is cut: by ``levels`` (paper), or ``best_first`` for an exact number of segments (ours)."""
@@ -65,8 +72,16 @@ class DiscoveryConfig:
     """Seed of the clustering. Ours; the release is not seeded."""
 
     def build(self, fps: float) -> SkillDiscovery:
-        """Makes the estimator for a frame rate (frames per second)."""
+        """Makes the estimator for a frame rate (frames per second).
+
+        Raises:
+            ConfigError: There is no such `cut`.
+        """
+        if self.cut != TREE and self.cut not in CUTS:
+            known = near_names(self.cut, (TREE, *CUTS))
+            raise ConfigError(f"There is no way {self.cut!r} to cut demonstrations. {known}")
         return SkillDiscovery(
+            cutter=None if self.cut == TREE else lambda latents: CUTS[self.cut](latents, fps),
             window=frames_of_seconds(self.window_s, fps),
             max_skills=self.max_skills,
             n_skills=self.n_skills,

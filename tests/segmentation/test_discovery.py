@@ -10,6 +10,7 @@ from sklearn.metrics import adjusted_rand_score, normalized_mutual_info_score
 
 from lerobot_buds.core import ConfigError, SegmentationError, labels_of, segments_of
 from lerobot_buds.segmentation import PRESETS, DiscoveryConfig, SkillDiscovery, preset
+from lerobot_buds.segmentation.cuts import CUTS
 
 
 def assert_partition(found: SkillDiscovery, latents: list[np.ndarray]) -> None:
@@ -45,6 +46,22 @@ def test_same_seed_same_labels(demonstrations: Callable[..., tuple]) -> None:
     latents, _ = demonstrations(noise=2.0)
     first, second = (SkillDiscovery(random_state=3).fit(latents) for _ in range(2))
     assert np.concatenate(first.labels_).tolist() == np.concatenate(second.labels_).tolist()
+
+
+@pytest.mark.parametrize("cut", CUTS)
+def test_a_baseline_may_cut_in_the_place_of_the_tree(demonstrations: Callable[..., tuple], cut: str) -> None:
+    latents, _ = demonstrations()
+    estimator = DiscoveryConfig(cut=cut, max_skills=4).build(fps=20)
+    found = estimator.fit(latents)
+    assert_partition(found, latents)
+    expected = [bounds.tolist() for bounds in CUTS[cut](latents, 20)]
+    assert [bounds.tolist() for bounds in found.temporal_segments_] == expected
+    assert [bounds.tolist() for bounds in estimator.cut(latents)] == expected
+
+
+def test_an_unknown_cut_is_refused() -> None:
+    with pytest.raises(ConfigError, match="Did you mean 'mean change points'"):
+        DiscoveryConfig(cut="mean change point").build(fps=20)
 
 
 @pytest.mark.parametrize("n_skills", [1, 3, 6, 9, 11])
