@@ -2,6 +2,7 @@
 
 import json
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -259,7 +260,11 @@ def test_libraries_that_do_not_fit_are_refused(build, library, tmp_path):
     with pytest.raises(CheckpointError, match="do not fit their configuration"):
         build(skills_path=str(library))
     rewrite()
-    (library / "model.safetensors").write_bytes(b"\xff" * 64)  # claims a header of 2**64 bytes
+    for content in (b"\xff" * 64, pickle.dumps({"skills": [0.0]})):  # the first claims a header of 2**64 bytes
+        (library / "model.safetensors").write_bytes(content)
+        with pytest.raises(CheckpointError, match="no readable policy"):
+            build(skills_path=str(library))
+    (library / "model.safetensors").rename(library / "model.pth")  # is not even looked at
     with pytest.raises(CheckpointError, match="no readable policy"):
         build(skills_path=str(library))
 
