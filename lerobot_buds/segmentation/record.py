@@ -28,6 +28,7 @@ from lerobot_buds.core import (
     read_json,
     refuse_newer,
     segments_of,
+    sha256_of_json,
     subgoals_of,
     write_json,
 )
@@ -139,6 +140,11 @@ class SegmentationRecord:
     def labels(self) -> list[IntArray]:
         """The skill of every frame: one ``(T,)`` int64 array per episode."""
         return [labels_of(list(episode.segments)) for episode in self.episodes]
+
+    @property
+    def labels_hash(self) -> str:
+        """Hash of all labels; a policy keeps it (`BudsConfig.segmentation`), to know the skills it was trained on."""
+        return sha256_of_json([episode.sha256 for episode in self.episodes])
 
     @property
     def skills(self) -> list[dict[str, float]]:

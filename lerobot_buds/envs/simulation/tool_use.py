@@ -56,16 +56,16 @@ class ToolUse:
         """Evaluates the zoo's predicate, that the cube touches the pot and their origins are close, and the stages'."""
         cube_at, tool_at = state.position("cube_main"), state.position("tool_main")
         beyond = state.point_on("tool_main", np.array(HOOK_MIDDLE)) - cube_at
-        lying = tool_at[2] < 0.93
+        fetched, lying = bool(cube_at[0] < -0.05), tool_at[2] < 0.93
         return {
             "cube_in_pot": cube_in_pot(state),
             "cube_lifted": bool(cube_at[2] > 0.94),
-            "cube_fetched": bool(cube_at[0] < -0.05),
+            "cube_fetched": fetched,
             "cube_hooked": bool(0.0 < beyond[0] < 0.11 and abs(beyond[1]) < 0.06 and abs(beyond[2]) < 0.02),
             "tool_lifted": bool(tool_at[2] > 0.94),
-            # Far enough from the cube for the open fingers.
+            # Far enough from the fetched cube for the open fingers.
             "tool_put_aside": bool(
-                lying and abs(tool_at[1] - cube_at[1]) > 0.08 and not state.touching("tool", "gripper0")
+                fetched and lying and abs(tool_at[1] - cube_at[1]) > 0.08 and not state.touching("tool", "gripper0")
             ),
         }
 
