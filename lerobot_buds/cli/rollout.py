@@ -13,14 +13,27 @@ from lerobot_buds.core import ConfigError, DatasetError, near_names, remove_left
 from lerobot_buds.demos import only_writer
 from lerobot_buds.envs import EpisodeVectorEnv, Task, tasks_named
 from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
-from lerobot_buds.evaluation.checkpoint import Checkpoint, load_checkpoint
-from lerobot_buds.evaluation.episodes import Decider, EpisodeRecorder, run_episodes
-from lerobot_buds.evaluation.guide import META_CONTROLLER, SKILL_SOURCES, STAGES, SUBGOAL_SOURCES, Guide
-from lerobot_buds.evaluation.insight import FAILURE_WINDOW_S, failures_of, summarise, summary_table
-from lerobot_buds.evaluation.neighbors import NEIGHBORS
-from lerobot_buds.evaluation.ribbon import draw_ribbons
-from lerobot_buds.evaluation.trace import RolloutRecord
-from lerobot_buds.evaluation.video import episode_frames, write_video
+from lerobot_buds.evaluation import (
+    FAILURE_WINDOW_S,
+    META_CONTROLLER,
+    NEIGHBORS,
+    SKILL_SOURCES,
+    STAGES,
+    SUBGOAL_SOURCES,
+    Checkpoint,
+    Decider,
+    EpisodeRecorder,
+    Guide,
+    RolloutRecord,
+    draw_ribbons,
+    episode_frames,
+    failures_of,
+    load_checkpoint,
+    run_episodes,
+    summarise,
+    summary_table,
+    write_video,
+)
 
 from .running import parse, run
 
@@ -98,7 +111,7 @@ def roll_out(config: RolloutConfig) -> RolloutRecord:
             remove_leftovers(folder)
         record = _run(config, env, task, checkpoint, guide, record.resumed(config.output_dir))
         if any(episode.length for episode in record.episodes):
-            draw_ribbons(config.output_dir / "ribbons.png", record, f"{task.name}: skills of every episode")
+            draw_ribbons(config.output_dir / "ribbons.png", record)
     return record
 
 

@@ -82,9 +82,10 @@ def summary_table(record: RolloutRecord) -> str:
     rows = [("success", _rate_in_words(summary["success"]))]
     rows += [(stage["name"], _stage_in_words(stage)) for stage in summary["stages"]]
     rows.append(("failures", _failures_in_words(summary["failures"])))
-    for name, share in (("foreign decisions", "foreign_decisions"), ("replaced decisions", "replaced_decisions")):
-        if summary[share] is not None:
-            rows.append((name, f"{summary[share]:.0%}"))
+    if summary["foreign_decisions"] is not None:
+        rows.append(("foreign decisions", f"{summary['foreign_decisions']:.0%}"))
+    if summary["replaced_decisions"]:
+        rows.append(("replaced decisions", f"{summary['replaced_decisions']:.0%}"))
     if summary["switches"] is not None:
         rows.append(("skill switches", f"{summary['switches']:.1f} an episode"))
         rows.append(("time", f"{summary['seconds']:.1f} s an episode"))

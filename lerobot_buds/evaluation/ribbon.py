@@ -19,13 +19,12 @@ _GOOD, _BAD, _LOST = "#1a7f37", "#c0392b", "0.45"
 _VERDICTS = {WRONG_SKILL: "wrong skill", MANIPULATION: "manipulation", None: "failed"}
 
 
-def draw_ribbons(path: Path, record: RolloutRecord, title: str) -> None:
+def draw_ribbons(path: Path, record: RolloutRecord) -> None:
     """Draws the skills of every episode as a PNG, atomically: successes first, then what came furthest.
 
     Args:
         path: The picture to create or replace.
         record: At least one episode that was not lost at its start.
-        title: Title of the picture.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -37,13 +36,12 @@ def draw_ribbons(path: Path, record: RolloutRecord, title: str) -> None:
     figure = Figure(figsize=(11, height + 1.5), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    draw_rows(
-        axes, [e.labels for e in episodes], record.fps, "skills", bottom=-0.22, top=0.36, names=range(record.n_skills)
-    )
     end = _last_second(episodes, record.fps)
+    shown = [episode.labels[: round(end * record.fps)] for episode in episodes]
+    draw_rows(axes, shown, record.fps, "skills", bottom=-0.22, top=0.36, names=range(record.n_skills))
     for row, (episode, failure) in enumerate(rows):
         _mark_row(axes, row, episode, failure, record.fps, end)
-    _finish(figure, axes, record, episodes, end, title)
+    _finish(figure, axes, record, episodes, end)
     write_atomically(path, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))
 
 
@@ -56,7 +54,7 @@ def _last_second(episodes: Sequence[Episode], fps: int) -> float:
     """Chooses where the picture ends: hands that wander until the time limit must not squeeze all that matters."""
     whole = max(episode.length for episode in episodes)
     successes = [episode.length for episode in episodes if episode.success]
-    telling = [2 * max(successes)] if successes else [whole]
+    telling = [int(1.5 * max(successes))] if successes else [whole]
     telling += [int(1.25 * episode.last_progress) for episode in episodes]
     return min(whole, max(telling)) / fps
 
@@ -88,14 +86,12 @@ def _mark_row(axes: "Axes", row: int, episode: Episode, failure: str | None, fps
     )
 
 
-def _finish(
-    figure: "Figure", axes: "Axes", record: RolloutRecord, episodes: Sequence[Episode], end: float, title: str
-) -> None:
+def _finish(figure: "Figure", axes: "Axes", record: RolloutRecord, episodes: Sequence[Episode], end: float) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     axes.set_ylim(len(episodes) - 0.4, -0.7)
-    axes.set_xlim(0, 1.14 * end)  # room for the verdicts
+    axes.set_xlim(0, 1.2 * end)  # room for the verdicts
     axes.set_xlabel("time (s)")
     axes.set_ylabel("seed")
     every = max(1, round(len(episodes) / (_MAX_ROWS_INCHES / 0.2)))
@@ -112,4 +108,6 @@ def _finish(
         for number, stage in enumerate(record.stages, start=1)
     ]
     figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize="small")
+    whole = [episode.success for episode in episodes if not episode.error]
+    title = f"{record.task}: {sum(whole)} of {len(whole)} episodes succeeded"
     axes.set_title(title, loc="left", fontsize="medium", fontweight="bold")

@@ -32,7 +32,7 @@ def shares(picture: np.ndarray, *colors: np.ndarray) -> list[float]:
 def test_the_picture_of_a_run_has_the_colours_of_the_skills_by_their_ids(tmp_path) -> None:
     run = record(episode(1, (40, 40), True, (20, 80)), episode(2, (40, 80), False, (20, None)))
     for name in ("a.png", "b.png"):
-        draw_ribbons(tmp_path / name, run, "a run")
+        draw_ribbons(tmp_path / name, run)
     picture = (imread(tmp_path / "a.png")[..., :3] * 255).round()
     blue, orange, green = shares(picture, BLUE, ORANGE, GREEN)
     assert green > blue > 0.05 and orange < 0.01  # orange is in the legend alone
@@ -41,7 +41,7 @@ def test_the_picture_of_a_run_has_the_colours_of_the_skills_by_their_ids(tmp_pat
 
 def test_a_hand_that_wanders_for_ever_does_not_squeeze_the_others(tmp_path) -> None:
     good, lost = episode(1, (40, 40), True, (20, 80)), episode(2, (40, 4000), False, (20, None))
-    draw_ribbons(tmp_path / "run.png", record(good, lost), "a run")
+    draw_ribbons(tmp_path / "run.png", record(good, lost))
     blue, _, _ = shares((imread(tmp_path / "run.png")[..., :3] * 255).round(), BLUE, ORANGE, GREEN)
     assert blue > 0.03  # of 40 steps in 4040 there would be a hundredth of the width
 
