@@ -79,7 +79,7 @@ def summarise(record: RolloutRecord) -> dict[str, Any]:
 def summary_table(record: RolloutRecord) -> str:
     """Formats what a run comes to, one figure a line."""
     summary = summarise(record)
-    rows = [("success", _rate_in_words(summary["success"]))]
+    rows = [("episodes", _rate_in_words(summary["success"]))]
     rows += [(stage["name"], _stage_in_words(stage)) for stage in summary["stages"]]
     rows.append(("failures", _failures_in_words(summary["failures"])))
     if summary["foreign_decisions"] is not None:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
+from scipy.spatial.distance import cdist
 
 from lerobot_buds.core import FloatArray, IntArray
 
@@ -52,7 +53,7 @@ class DemonstrationFrames:
 
     def distances(self, latent: FloatArray) -> FloatArray:
         """Computes the Euclidean distance of every frame, ``(N,)``, from a latent ``(D,)``."""
-        distances: FloatArray = np.linalg.norm(self.latents - latent, axis=1)
+        distances: FloatArray = cdist(latent[None], self.latents)[0]
         return distances
 
     def nearest(self, distances: FloatArray, count: int, allowed: Mask | None = None) -> IntArray:
