@@ -32,3 +32,43 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert (summary.episodes, summary.attempts, summary.failures) == (4, 4, {})
     return root
+
+
+@pytest.fixture(scope="session")
+def segmented(demonstrations: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same demonstrations with three skills at most, of a representation that hardly learnt. Not to be changed."""
+    from lerobot_buds.cli.segment import SegmentConfig, segment
+    from lerobot_buds.representation import RepresentationConfig
+    from lerobot_buds.segmentation import DiscoveryConfig
+
+    folder = tmp_path_factory.mktemp("segmented")
+    segment(
+        SegmentConfig(
+            "tests/demos",
+            str(demonstrations),
+            output_root=str(folder / "skills"),
+            work_dir=str(folder / "work"),
+            representation=RepresentationConfig(image_size=32, steps=10, batch_size=32, device="cpu"),
+            discovery=DiscoveryConfig(max_skills=3),
+        )
+    )
+    return folder / "skills"
+
+
+@pytest.fixture(scope="session")
+def checkpoint(segmented: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small untrained policy for the segmented demonstrations, as lerobot-train leaves one. Not to be changed."""
+    import torch
+    from lerobot.datasets import LeRobotDatasetMetadata
+    from lerobot.policies import make_policy, make_pre_post_processors
+
+    from lerobot_buds.policy import BudsConfig
+
+    small = {"encoder": "conv", "norm": "group", "conv_channels": [8, 8], "keypoints": 8, "head_widths": [32]}
+    folder = tmp_path_factory.mktemp("policy") / "pretrained_model"
+    torch.manual_seed(0)
+    policy = make_policy(BudsConfig(device="cpu", **small), ds_meta=LeRobotDatasetMetadata("tests/x", root=segmented))
+    policy.save_pretrained(folder)
+    for processor in make_pre_post_processors(policy.config):
+        processor.save_pretrained(folder)
+    return folder

@@ -96,6 +96,7 @@ def test_every_console_script_has_its_function(wheel: ZipFile) -> None:
     ("module", "heavy"),
     [
         ("lerobot_buds", {"lerobot", "mujoco", "robosuite", "sklearn", "torch"}),
+        ("lerobot_buds.evaluation", {"av", "lerobot", "matplotlib", "mujoco", "robosuite", "torch"}),
         ("lerobot_policy_buds", {"mujoco", "robosuite", "sklearn", "matplotlib.pyplot"}),
     ],
 )

@@ -17,11 +17,6 @@ def draw_order(task: Task, rng: np.random.Generator) -> list[int]:
     """
     order: list[int] = []
     while len(order) < len(task.stages):
-        done = {task.stages[number] for number in order}
-        ready = [
-            number
-            for number, stage in enumerate(task.stages)
-            if number not in order and done.issuperset(task.needs.get(stage, task.stages[:number]))
-        ]
+        ready = task.possible_stages(order)
         order.append(ready[0] if len(ready) == 1 else int(rng.choice(ready)))
     return order

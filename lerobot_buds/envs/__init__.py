@@ -2,7 +2,7 @@
 
 from .rendering import PROFILES, RenderProfile, profile_named
 from .robosuite_env import ACTION_NAMES, CAMERAS, FPS, REACH, STATE_NAMES, EnvSettings, Observation, RobosuiteEnv
-from .tasks import STOCK_TASKS, TASKS, Task, tasks_named
+from .tasks import STAGE_FACTS, STOCK_TASKS, TASKS, Task, tasks_named
 from .vector_env import EpisodeVectorEnv
 from .view import SimulationView
 
@@ -12,6 +12,7 @@ __all__ = [
     "FPS",
     "PROFILES",
     "REACH",
+    "STAGE_FACTS",
     "STATE_NAMES",
     "STOCK_TASKS",
     "TASKS",

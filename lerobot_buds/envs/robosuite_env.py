@@ -15,7 +15,7 @@ from lerobot_buds.core import ConfigError, SimulatorError
 
 from .loading import open_renderer, open_simulation
 from .rendering import PROFILES, profile_named
-from .tasks import tasks_named
+from .tasks import STAGE_FACTS, tasks_named
 
 if TYPE_CHECKING:
     from .simulation.renderer import CameraRenderer
@@ -75,7 +75,8 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
     see `STATE_NAMES`) and ``render_profile`` ((1,) float32, the number of the profile, so that a policy can refuse
     images that are drawn otherwise than those it was trained on). Actions are (4,) float32 in [-1, 1]: hand
     displacement in the world's axes (1 aims 5 cm ahead) and gripper (-1 opens, +1 closes). The reward is 1 on success,
-    which ends the episode.
+    which ends the episode. ``info`` holds ``is_success`` (bool) and ``stages_done`` ((S,) bool: which of the task's
+    stages have what they aim at now, see `STAGE_FACTS`).
 
     Args:
         settings: The task and how it is drawn.
@@ -96,6 +97,7 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._task = tasks[0].as_released() if settings.released else tasks[0]
         self.task = self._task.name
         self.task_description = self._task.description
+        self.stages = self._task.stages
         self._max_episode_steps = settings.max_steps or self._task.max_steps
         size = settings.image_size
         image = gym.spaces.Box(0, 255, (size, size, 3), np.uint8)
@@ -142,7 +144,7 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.simulation.reset_with(self.np_random)
         for _ in range(SETTLE_STEPS):
             self.simulation.step(np.array([0.0, 0.0, 0.0, -1.0]))
-        return self._observe(), {"is_success": self.simulation.succeeded()}
+        return self._observe(), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advances one control step (50 ms).
@@ -159,9 +161,10 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._steps += 1
         if self.state.diverged():
             raise SimulatorError(f"Step {self._steps} of {self.task}: the simulation diverged to NaN or infinity.")
-        success = self.simulation.succeeded()
+        info = self._info()
+        success = info["is_success"]
         truncated = self._steps >= self._max_episode_steps and not success
-        return self._observe(), float(success), success, truncated, {"is_success": success}
+        return self._observe(), float(success), success, truncated, info
 
     def executed(self, action: NDArray[np.float32]) -> NDArray[np.float32]:
         """Tells what of an action would be executed now: clipped to [-1, 1], and to the task's workspace.
@@ -188,6 +191,11 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         if self._simulation is not None:
             self._simulation.close()
         self._renderer = self._simulation = None
+
+    def _info(self) -> dict[str, Any]:
+        facts = self.simulation.facts()
+        done = np.array([facts[STAGE_FACTS[stage]] for stage in self._task.stages], dtype=np.bool_)
+        return {"is_success": self.simulation.succeeded(), "stages_done": done}
 
     def _draw(self, camera: str) -> NDArray[np.uint8]:
         if self._renderer is None:

@@ -1,12 +1,37 @@
 """The tasks by name, as plain data: importable without a simulator."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 from lerobot_buds.core import ConfigError, near_names
 
 _UNBOUNDED = ((-math.inf, math.inf),) * 3
+
+STAGE_FACTS: dict[str, str] = {
+    "close_drawer": "drawer_closed",
+    "cube_in_pot": "cube_in_pot",
+    "grasp_cube": "cube_lifted",
+    "grasp_hammer": "hammer_lifted",
+    "grasp_tool": "tool_lifted",
+    "hook_cube": "cube_hooked",
+    "open_drawer": "drawer_open",
+    "pot_off_stove": "pot_on_table",
+    "pot_on_stove": "pot_on_stove",
+    "pot_on_tray": "pot_on_tray",
+    "pull_cube": "cube_fetched",
+    "push_pot": "pot_in_region",
+    "push_tray": "tray_aside",
+    "put_cube_in_pot": "cube_in_pot",
+    "put_hammer_in_drawer": "hammer_laid_in",
+    "put_tool_aside": "tool_put_aside",
+    "put_tool_down": "tool_put_down",
+    "take_lid_off": "lid_off",
+    "take_tool": "tool_lifted",
+    "turn_off": "stove_off",
+    "turn_on": "stove_on",
+}
+"""Stage -> the fact that holds in the state that it aims at, and may hold before it: the stove is off at first, too."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +68,19 @@ class Task:
     def suite(self) -> str:
         """The part of the name before the slash; LeRobot groups results by it."""
         return self.name.split("/")[0]
+
+    def possible_stages(self, done: Collection[int]) -> list[int]:
+        """Lists the stages that may come next: not done yet, with all that they need done.
+
+        Args:
+            done: Numbers of the stages that are done, indices into `stages`.
+        """
+        names = {self.stages[number] for number in done}
+        return [
+            number
+            for number, stage in enumerate(self.stages)
+            if number not in done and names.issuperset(self.needs.get(stage, self.stages[:number]))
+        ]
 
     def as_released(self) -> "Task":
         """Makes the task as the original's released code has it: its literal goal, and no bound on the workspace."""

@@ -49,6 +49,7 @@ class EpisodeVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
         self._ended = np.ones(num_envs, dtype=bool)
         self._truncated = np.zeros(num_envs, dtype=bool)
         self._success = np.zeros(num_envs, dtype=bool)
+        self._stages_done = np.zeros((num_envs, len(self._template.stages)), dtype=bool)
         self._errors: list[str] = [""] * num_envs
         self._seeds: list[int | None] = [None] * num_envs
 
@@ -68,13 +69,14 @@ class EpisodeVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
             seed = [seed + i for i in range(self.num_envs)]
         self._seeds = list(seed) if seed is not None else [None] * self.num_envs
         self._ended[:] = self._truncated[:] = self._success[:] = False
+        self._stages_done[:] = False
         self._errors = [""] * self.num_envs
         for i in range(self.num_envs):
             self._start(i, "reset", self._seeds[i])
         for i in range(self.num_envs):
             if (answer := self._finish(i)) is not None:
                 self._last[i], info = answer
-                self._success[i] = info["is_success"]
+                self._success[i], self._stages_done[i] = info["is_success"], info["stages_done"]
         if all(self._errors):
             raise SimulatorError(self._errors[0])  # nothing runs at all: no bad luck of one episode
         return self._observations(), self._info()
@@ -94,7 +96,7 @@ class EpisodeVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
         for i in going:
             if (answer := self._finish(i)) is not None:
                 self._last[i], rewards[i], terminated, self._truncated[i], info = answer
-                self._success[i] = info["is_success"]
+                self._success[i], self._stages_done[i] = info["is_success"], info["stages_done"]
                 self._ended[i] = terminated or self._truncated[i]
         return self._observations(), rewards, self._ended & ~self._truncated, self._truncated.copy(), self._info()
 
@@ -160,7 +162,11 @@ class EpisodeVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
         return cast(Observation, concatenate(space, self._last, out))
 
     def _info(self) -> dict[str, Any]:
-        return {"is_success": self._success.copy(), "error": np.array(self._errors, dtype=object)}
+        return {
+            "is_success": self._success.copy(),
+            "stages_done": self._stages_done.copy(),
+            "error": np.array(self._errors, dtype=object),
+        }
 
 
 class _Slot(Protocol):

@@ -1,7 +1,7 @@
 """The multi-sensory representation: one latent per frame from all cameras and proprioception."""
 
 from .configuration import RepresentationConfig
-from .encoding import encode_dataset
+from .encoding import encode_dataset, encode_observations
 from .hub import download
 from .inputs import Modalities
 from .pictures import draw_reconstructions
@@ -16,6 +16,7 @@ __all__ = [
     "download",
     "draw_reconstructions",
     "encode_dataset",
+    "encode_observations",
     "is_main_process",
     "train_representation",
 ]

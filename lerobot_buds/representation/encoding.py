@@ -1,6 +1,8 @@
 """The latents of a dataset under a trained representation, computed once."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -8,10 +10,11 @@ from lerobot.utils.constants import HF_LEROBOT_HOME
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from lerobot_buds.core import DatasetError, FloatArray, sha256_of_json
+from lerobot_buds.core import STATE, CheckpointError, DatasetError, FloatArray, sha256_of_json
 from lerobot_buds.demos import make_once
 
-from .inputs import DatasetInputs
+from .inputs import DatasetInputs, network_images
+from .network import PROPRIOCEPTION
 from .trained import Representation
 
 
@@ -43,6 +46,41 @@ def encode_dataset(
     make_once(path, lambda part: _write_array(part, _encode(inputs, representation, batch_size)))
     latents = np.load(path, allow_pickle=False).astype(np.float64)
     return [latents[start:end] for start, end in zip(inputs.starts, inputs.ends, strict=True)]
+
+
+def encode_observations(representation: Representation, observations: Mapping[str, NDArray[Any]]) -> FloatArray:
+    """Computes the latents of observations that belong to no dataset, the same that `encode_dataset` gives its frames.
+
+    Args:
+        representation: Trained on the same cameras and state; it computes where its network lies.
+        observations: Cameras ``(B, 3, H, W)`` uint8 and ``observation.state`` ``(B, D)`` with all of its dimensions, by
+            their names in the dataset; what the representation does not fuse may be missing.
+
+    Returns:
+        ``(B, z)`` float64, float32 in precision.
+
+    Raises:
+        CheckpointError: A camera or the state is missing, or of another size than the representation was trained on.
+    """
+    modalities = representation.modalities
+    shapes: dict[str, tuple[int, ...]] = {camera: (3, *size) for camera, size in modalities.cameras.items()}
+    if modalities.state_dims:
+        shapes[STATE] = (len(modalities.state_names),)
+    for name, shape in shapes.items():
+        found = observations[name].shape[1:] if name in observations else None
+        if found != shape:
+            raise CheckpointError(
+                f"the representation was trained on {name!r} of {shape}, the observation has {found}."
+            )
+    device = next(representation.network.parameters()).device
+    size = representation.config.frame_size
+    batch = {name: network_images(observations[name], size, device) for name in modalities.cameras}
+    if modalities.state_dims:
+        state = observations[STATE][:, list(modalities.state_dims)].astype(np.float32)
+        batch[PROPRIOCEPTION] = torch.from_numpy(state).to(device)
+    with torch.inference_mode():
+        latents: FloatArray = representation.network.latents(batch).cpu().numpy().astype(np.float64)
+    return latents
 
 
 def _encode(inputs: DatasetInputs, representation: Representation, batch_size: int) -> NDArray[np.float32]:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -157,7 +156,9 @@ class DatasetInputs:
         Returns:
             Cameras ``(B, 3, H, W)`` float32 in [0, 1] and, if fused, `PROPRIOCEPTION` ``(B, D)`` float32.
         """
-        batch = {name: self._images(frames[indices], device) for name, frames in self._frames.items()}
+        batch = {
+            name: network_images(frames[indices], self._image_size, device) for name, frames in self._frames.items()
+        }
         if self._state is not None:
             batch[PROPRIOCEPTION] = torch.from_numpy(self._state[indices]).to(device)
         return batch
@@ -174,8 +175,19 @@ class DatasetInputs:
         std[std < 1e-6] = 1.0
         return torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(std).float()
 
-    def _images(self, frames: NDArray[Any], device: torch.device) -> Tensor:
-        images = torch.from_numpy(frames).to(device).contiguous(memory_format=torch.channels_last).float().div_(255)
-        if self._image_size is None or images.shape[-2:] == (self._image_size, self._image_size):
-            return images
-        return functional.interpolate(images, size=(self._image_size, self._image_size), mode="area")
+
+def network_images(frames: NDArray[np.uint8], size: int | None, device: torch.device) -> Tensor:
+    """Turns stored frames into images for the network.
+
+    Args:
+        frames: ``(B, 3, H, W)`` uint8.
+        size: Side of the square that they are scaled to, by area (pixels); None leaves them as they are stored.
+        device: Where to put them.
+
+    Returns:
+        ``(B, 3, S, S)`` float32 in [0, 1].
+    """
+    images = torch.from_numpy(frames).to(device).contiguous(memory_format=torch.channels_last).float().div_(255)
+    if size is None or images.shape[-2:] == (size, size):
+        return images
+    return functional.interpolate(images, size=(size, size), mode="area")

@@ -144,7 +144,7 @@ class SegmentationRecord:
 
     @property
     def labels_hash(self) -> str:
-        """Names the labels: skill ids of datasets with the same hash mean the same."""
+        """Hash of all labels; a policy keeps it (`BudsConfig.segmentation`), to know the skills it was trained on."""
         return sha256_of_json([episode.sha256 for episode in self.episodes])
 
     @property

@@ -54,7 +54,15 @@ def draw_timeline(
     write_atomically(path, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))
 
 
-def draw_rows(axes: "Axes", episodes: Sequence[IntArray], fps: float, kind: str, bottom: float, top: float) -> None:
+def draw_rows(
+    axes: "Axes",
+    episodes: Sequence[IntArray],
+    fps: float,
+    kind: str,
+    bottom: float,
+    top: float,
+    names: Sequence[int] | None = None,
+) -> None:
     """Draws the runs of demonstrations as bars, one row each.
 
     Args:
@@ -64,8 +72,9 @@ def draw_rows(axes: "Axes", episodes: Sequence[IntArray], fps: float, kind: str,
         kind: ``skills`` (hues) or ``stages`` (greys).
         bottom: Lower edge of the bars, relative to the row's number.
         top: Upper edge of them.
+        names: All labels that there are, for the choice of colours; None for those that occur.
     """
-    colors = _colors(episodes, kind)
+    colors = label_colors(_occurring(episodes) if names is None else names, kind)
     for row, episode in enumerate(episodes):
         runs = segments_of(episode)
         axes.broken_barh(
@@ -94,18 +103,32 @@ def _finish(
     axes.set_axisbelow(True)
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
-    handles = [Patch(color=color, label=f"skill {k}") for k, color in _colors(labels, "skills").items()]
+    skill_colors = label_colors(_occurring(labels), "skills")
+    handles = [Patch(color=color, label=f"skill {k}") for k, color in skill_colors.items()]
     if stages is not None:
-        handles += [Patch(color=color, label=f"true stage {k}") for k, color in _colors(stages, "stages").items()]
+        stage_colors = label_colors(_occurring(stages), "stages")
+        handles += [Patch(color=color, label=f"true stage {k}") for k, color in stage_colors.items()]
     figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize="small")
     axes.set_title(title, loc="left", fontsize="medium", fontweight="bold")
 
 
-def _colors(episodes: Sequence[IntArray], kind: str) -> dict[int, Color]:
-    """Chooses one colour per label: hues for skills, greys for stages, so that nobody reads a stage as a skill."""
+def _occurring(episodes: Sequence[IntArray]) -> list[int]:
+    names: list[int] = np.unique(np.concatenate(episodes)).tolist()
+    return names
+
+
+def label_colors(names: Sequence[int], kind: str) -> dict[int, Color]:
+    """Chooses one colour per label: hues for skills, greys for stages, so that nobody reads a stage as a skill.
+
+    Args:
+        names: The labels, ascending.
+        kind: ``skills`` or ``stages``.
+
+    Returns:
+        Label to red, green, blue and opacity, in [0, 1].
+    """
     from matplotlib import colormaps
 
-    names = np.unique(np.concatenate(episodes)).tolist()
     if kind == "stages":
         return {k: colormaps["Greys"](x) for k, x in zip(names, np.linspace(0.3, 0.85, len(names)), strict=True)}
     if len(names) <= 20:

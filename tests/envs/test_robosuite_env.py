@@ -23,7 +23,7 @@ def test_observations_are_those_of_the_spaces(env):
     assert set(observation["pixels"]) == set(CAMERAS)
     assert observation["render_profile"] == list(PROFILES).index("fastest")
     np.testing.assert_allclose(observation["agent_pos"][9:], env.state.hand, atol=1e-6)
-    assert info == {"is_success": False}
+    assert info["is_success"] is False and info["stages_done"].tolist() == [False, False]
     assert env.render().shape == (16, 16, 3)
 
 
@@ -94,7 +94,8 @@ def test_success_ends_the_episode(env):
     env.state.set_pose("cube", env.state.position("cube_main") + shift, 0.0)
     env.state.set_pose("pot", at + shift, 0.0)
     _, reward, terminated, truncated, info = env.step(NOTHING)
-    assert (reward, terminated, truncated, info) == (1.0, True, False, {"is_success": True})
+    assert (reward, terminated, truncated, info["is_success"]) == (1.0, True, False, True)
+    assert info["stages_done"].tolist() == [True, True]
 
 
 def test_the_time_limit_truncates():

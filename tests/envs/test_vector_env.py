@@ -59,6 +59,7 @@ def test_it_equals_single_environments_bit_for_bit_in_any_process(envs, trace, a
     assert traces == singles
     assert envs.observation_space.contains(observation)
     assert info["is_success"].tolist() == [False, False] and info["error"].tolist() == ["", ""]
+    assert info["stages_done"].tolist() == [[False, False], [False, False]]
 
 
 def test_one_seed_counts_up_and_a_range_is_taken_as_it_is(local, digest):

@@ -10,14 +10,15 @@ import torch
 from PIL import Image
 from safetensors.torch import load_file, save_file
 
-from lerobot_buds.core import CheckpointError, DatasetError, read_json, sha256_of_file, write_json
-from lerobot_buds.demos import cached_frames
+from lerobot_buds.core import STATE, CheckpointError, DatasetError, read_json, sha256_of_file, write_json
+from lerobot_buds.demos import cached_frames, read_table
 from lerobot_buds.representation import (
     Modalities,
     Representation,
     RepresentationConfig,
     draw_reconstructions,
     encode_dataset,
+    encode_observations,
     train_representation,
 )
 from lerobot_buds.representation.inputs import DatasetInputs
@@ -47,6 +48,37 @@ def test_latents_are_posterior_means_episode_by_episode(
     with torch.no_grad():
         one = representation.network.encode(inputs.batch(np.array([15]), torch.device("cpu"))).mean
     np.testing.assert_allclose(latents[1][3][:4], one[0].numpy(), rtol=1e-4, atol=1e-6)
+
+
+@pytest.fixture
+def observations(toy_root: Path, representation: Representation, cache: Path) -> dict[str, np.ndarray]:
+    """All frames of the dataset, as an environment would hand them over, with a camera that nobody asked for."""
+    cameras = {name: np.array(cached_frames(toy_root, name, cache)) for name in representation.modalities.cameras}
+    state = read_table(toy_root, [STATE]).columns[STATE]
+    return {**cameras, STATE: state, "observation.images.other": np.zeros((42, 3, 5, 5), dtype=np.uint8)}
+
+
+def test_an_observation_has_the_latent_that_the_dataset_gives_it(
+    toy_root: Path, representation: Representation, cache: Path, observations: dict[str, np.ndarray]
+) -> None:
+    latents = np.concatenate(encode_dataset(toy_root, representation, 8, cache))
+    batch = {name: rows[8:16] for name, rows in observations.items()}
+    np.testing.assert_array_equal(encode_observations(representation, batch), latents[8:16])
+    for t in (0, 13, 41):  # alone: other kernels, another order of the sums
+        one = encode_observations(representation, {name: rows[t : t + 1] for name, rows in observations.items()})
+        np.testing.assert_allclose(one[0], latents[t], rtol=1e-4, atol=1e-5)
+
+
+def test_an_observation_of_another_size_is_refused(
+    representation: Representation, observations: dict[str, np.ndarray]
+) -> None:
+    camera = next(iter(representation.modalities.cameras))
+    for name, wrong in ((camera, observations[camera][:, :, :16]), (STATE, observations[STATE][:, :2])):
+        with pytest.raises(CheckpointError, match=name):
+            encode_observations(representation, observations | {name: wrong})
+    del observations[camera]
+    with pytest.raises(CheckpointError, match="has None"):
+        encode_observations(representation, observations)
 
 
 @pytest.mark.parametrize("weight", [0.0, 1.0, 3.0])

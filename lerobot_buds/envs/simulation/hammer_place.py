@@ -43,9 +43,14 @@ class HammerPlace:
         """Nothing changes its looks here."""
 
     def facts(self, state: SimulationState) -> dict[str, bool]:
-        """Evaluates the zoo's predicates; a hammer on top of the cabinet lies too high."""
-        at = state.position("hammer_main")
+        """Evaluates the predicates of the zoo, to which a hammer on top of the cabinet lies too high, and of stages."""
+        at, slide = state.position("hammer_main"), state.joint("cabinet_slide")
+        in_drawer = at - state.position("cabinet_drawer")
         return {
             "hammer_in_drawer": bool(0.94 < at[2] < 1.0 and at[1] > 0.22),
-            "drawer_closed": state.joint("cabinet_slide") > -0.01,
+            "drawer_closed": slide > -0.01,
+            "drawer_open": slide < -0.10,  # wide enough for the hammer
+            "hammer_lifted": bool(at[2] > 1.0),  # over the drawer's front
+            # Between its walls, wherever it has been pulled to.
+            "hammer_laid_in": bool(abs(in_drawer[0]) < 0.07 and -0.09 < in_drawer[1] < 0.06 and 0.94 < at[2] < 1.0),
         }

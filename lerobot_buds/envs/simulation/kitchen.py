@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .furniture import button, cube, pot, serving_region, stove
-from .kitchen_facts import STOVE_OFF, cube_in_pot, cube_touches_pot, pot_in_region, stove_on
+from .kitchen_facts import STOVE_OFF, cube_in_pot, cube_touches_pot, pot_in_region, pot_stands_on, stove_on
 from .primitives import Primitive
 from .state import SimulationState
 
@@ -55,11 +55,13 @@ class Kitchen:
         state.show("stove_flame_visual", stove_on(state))
 
     def facts(self, state: SimulationState) -> dict[str, bool]:
-        """Evaluates the predicates of the goal."""
+        """Evaluates the predicates of the goal and of the stages."""
         return {
             "stove_on": stove_on(state),
             "stove_off": not stove_on(state),
             "cube_in_pot": cube_in_pot(state),
             "cube_touches_pot": cube_touches_pot(state),
             "pot_in_region": pot_in_region(state, SERVING_REGION),
+            "pot_on_stove": pot_stands_on(state, STOVE),
+            "pot_on_table": bool(state.position("pot_main")[2] < 0.91),
         }

@@ -28,6 +28,17 @@ def cube_touches_pot(state: SimulationState) -> bool:
     return state.touching("cube", "pot")
 
 
+def pot_stands_on(state: SimulationState, stove: Vector) -> bool:
+    """Tells whether the pot stands on a stove (ours): its middle over the plate, its floor down to it.
+
+    Args:
+        state: The simulation.
+        stove: The stove's position in the world (m).
+    """
+    away = np.abs(state.position("pot_main") - np.array(stove) - (0.0, 0.0, 0.025))
+    return bool((away < (0.08, 0.08, 0.01)).all())
+
+
 def pot_in_region(state: SimulationState, region: Vector) -> bool:
     """Tells whether the pot stands in the serving region.
 

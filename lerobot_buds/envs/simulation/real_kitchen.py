@@ -46,7 +46,7 @@ class RealKitchen:
         """Does nothing: no look of this scene depends on its state."""
 
     def facts(self, state: SimulationState) -> dict[str, bool]:
-        """Evaluates the predicates of the goal."""
+        """Evaluates the predicates of the goal and of the stages."""
         pot_at, lid_at = state.position("pot_main"), state.position("lid_main")
         tray_at, tool_at = state.position("tray_main"), state.position("tool_main")
         off_tray = pot_at - tray_at

@@ -9,7 +9,7 @@ from .furniture import cube, pot
 from .kitchen_facts import cube_in_pot
 from .primitives import Primitive
 from .state import SimulationState
-from .tools import l_tool
+from .tools import HOOK_MIDDLE, l_tool
 
 _POT = np.array([0.0, 0.18, 0.9035])
 _CUBE_HALF_SIZE = (0.020, 0.025, 0.020)
@@ -53,8 +53,21 @@ class ToolUse:
         """Nothing changes its looks here."""
 
     def facts(self, state: SimulationState) -> dict[str, bool]:
-        """Evaluates the zoo's predicate: the cube touches the pot and their origins are close."""
-        return {"cube_in_pot": cube_in_pot(state)}
+        """Evaluates the zoo's predicate, that the cube touches the pot and their origins are close, and the stages'."""
+        cube_at, tool_at = state.position("cube_main"), state.position("tool_main")
+        beyond = state.point_on("tool_main", np.array(HOOK_MIDDLE)) - cube_at
+        fetched, lying = bool(cube_at[0] < -0.05), tool_at[2] < 0.93
+        return {
+            "cube_in_pot": cube_in_pot(state),
+            "cube_lifted": bool(cube_at[2] > 0.94),
+            "cube_fetched": fetched,
+            "cube_hooked": bool(0.0 < beyond[0] < 0.11 and abs(beyond[1]) < 0.06 and abs(beyond[2]) < 0.02),
+            "tool_lifted": bool(tool_at[2] > 0.94),
+            # Far enough from the fetched cube for the open fingers.
+            "tool_put_aside": bool(
+                fetched and lying and abs(tool_at[1] - cube_at[1]) > 0.08 and not state.touching("tool", "gripper0")
+            ),
+        }
 
 
 def fetched_tool_y(cube_y: float) -> float:

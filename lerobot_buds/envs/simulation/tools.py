@@ -2,8 +2,8 @@
 
 from .primitives import FREE_JOINT, Body, Geom, Primitive, Vector
 
-HOOK_FACE = 0.104
-"""The robot's side of the L-tool's hook, along the bar from its centre (m)."""
+HOOK_MIDDLE = (0.11, 0.05, 0.0)
+"""Centre of the hook in the L-tool's frame (m)."""
 
 _HANDLE_HALF_LENGTH, _HANDLE_RADIUS, _HEAD = 0.02375, 0.012, 0.0132
 
@@ -11,7 +11,7 @@ _HANDLE_HALF_LENGTH, _HANDLE_RADIUS, _HEAD = 0.02375, 0.012, 0.0132
 def l_tool() -> Primitive:
     """Builds the red L-shaped tool, 0.25 kg: a bar along its x, and at the bar's far end a hook along its +y."""
     bar = Geom("box", (0.11, 0.011, 0.02), material="red_grain", friction=(0.0005, 0.005, 0.0001))
-    hook = Geom("box", (0.006, 0.06, 0.02), (0.11, 0.05, 0.0), "red_grain", friction=(0.005, 0.005, 0.0001))
+    hook = Geom("box", (0.006, 0.06, 0.02), HOOK_MIDDLE, "red_grain", friction=(0.005, 0.005, 0.0001))
     return Primitive("tool", Body("main", (bar, hook), joint=FREE_JOINT))
 
 

@@ -1,0 +1,108 @@
+"""A checkpoint of policy ``buds`` with LeRobot's processing around it, ready for one task. Imports LeRobot on use."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lerobot_buds.core import CheckpointError, read_json, sha256_of_file, sha256_of_json
+from lerobot_buds.envs import Task
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from torch import Tensor
+
+    from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
+    from lerobot_buds.policy import BudsConfig
+    from lerobot_buds.policy.modeling_buds import BudsPolicy
+
+CONFIG_FILE, WEIGHTS_FILE = "config.json", "model.safetensors"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A trained policy.
+
+    Attributes:
+        policy: The policy, on its device.
+        preprocess: From LeRobot's batch of observations to the policy's.
+        postprocess: From the policy's actions to the environment's.
+        sha256: Hash of its settings and weights.
+    """
+
+    policy: "BudsPolicy"
+    preprocess: "Callable[[dict[str, Any]], dict[str, Any]]"
+    postprocess: "Callable[[Tensor], Tensor]"
+    sha256: str
+
+
+def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: str | None = None) -> Checkpoint:
+    """Loads a checkpoint for an environment, as ``lerobot-eval`` does.
+
+    Args:
+        name: Folder of the checkpoint (``pretrained_model``), or a repository on the Hub.
+        env: The environment.
+        task: Its task.
+        device: Where to compute; the checkpoint's own choice where None.
+
+    Raises:
+        CheckpointError: There is no such checkpoint, it is none of policy ``buds``, or its frame rate or render profile
+            are not the environment's.
+        ConfigError: It was not trained on the task.
+    """
+    from lerobot.configs import PreTrainedConfig
+    from lerobot.policies import make_policy, make_pre_post_processors
+
+    import lerobot_buds.policy  # noqa: F401  # registers the policy with LeRobot
+    from lerobot_buds.representation import download
+
+    folder = Path(name) if Path(name).is_dir() else download(name, ["*.json", "*.safetensors"])
+    _check_files(folder)
+    config = PreTrainedConfig.from_pretrained(folder)
+    config.pretrained_path = folder
+    config.device = device or config.device
+    check_environment(config, env, task)
+    policy = make_policy(config, env_cfg=env)
+    preprocess, postprocess = make_pre_post_processors(
+        config,
+        pretrained_path=str(folder),
+        preprocessor_overrides={"device_processor": {"device": str(config.device)}},
+    )
+    files = [sha256_of_file(folder / file) for file in (CONFIG_FILE, WEIGHTS_FILE)]
+    return Checkpoint(policy, preprocess, postprocess, sha256_of_json(files))
+
+
+def check_environment(config: "BudsConfig", env: "RobosuiteEnvConfig", task: Task) -> None:
+    """Refuses an environment that differs from the demonstrations that a policy was trained on.
+
+    Raises:
+        CheckpointError: The frame rate or the render profile differs.
+        ConfigError: The policy was not trained on the task.
+    """
+    from lerobot_buds.policy.settling import task_number
+
+    if config.fps is not None and config.fps != env.fps:
+        raise CheckpointError(
+            f"The policy was trained at {config.fps} frames a second, the environment runs at {env.fps}."
+        )
+    if config.render_profile is not None and config.render_profile != env.render_profile:
+        raise CheckpointError(
+            f"The policy was trained on images of the render profile {config.render_profile!r}, the environment draws "
+            f"{env.render_profile!r}. Use --env.render_profile={config.render_profile}."
+        )
+    task_number(config, task.description)
+
+
+def _check_files(folder: Path) -> None:
+    missing = [file for file in (CONFIG_FILE, WEIGHTS_FILE) if not (folder / file).exists()]
+    if missing:
+        raise CheckpointError(
+            f"{folder} is no checkpoint: it lacks {' and '.join(missing)}. lerobot-train leaves checkpoints under "
+            "checkpoints/last/pretrained_model."
+        )
+    try:
+        kind = read_json(folder / CONFIG_FILE)["type"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{folder / CONFIG_FILE} is damaged ({type(error).__name__}: {error}).") from error
+    if kind != "buds":
+        raise CheckpointError(f"{folder} holds a policy of type {kind!r}; only 'buds' has skills to look into.")

@@ -1,0 +1,166 @@
+"""What demonstrations would do in the state of a rollout: to judge decisions by, or to put in their place.
+
+torch and LeRobot are imported on use.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_buds.core import IMAGE_PREFIX, STATE, TRUE_STAGE, CheckpointError, DatasetError, FloatArray, IntArray
+from lerobot_buds.envs import Task
+
+from .neighbors import NEIGHBORS, DemonstrationFrames, Mask
+
+if TYPE_CHECKING:
+    from lerobot_buds.policy import BudsConfig
+    from lerobot_buds.representation import Representation
+    from lerobot_buds.segmentation import SegmentationRecord
+
+META_CONTROLLER, DEMONSTRATIONS, STAGES = "meta_controller", "demonstrations", "stages"
+SKILL_SOURCES = (META_CONTROLLER, DEMONSTRATIONS, STAGES)
+SUBGOAL_SOURCES = (META_CONTROLLER, DEMONSTRATIONS)
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to do at a decision.
+
+    Attributes:
+        skill: The skill.
+        foreign: Whether the nearest demonstrations do not use it there; None where none were asked.
+        goal: Absolute index of the frame that is its subgoal; None to keep the meta controller's.
+    """
+
+    skill: int
+    foreign: bool | None = None
+    goal: int | None = None
+
+
+@dataclass(frozen=True)
+class Guide:
+    """Segmented demonstrations of one task.
+
+    Attributes:
+        frames: Their frames in the latent space.
+        goals: ``(N, 3, H, W)`` uint8 workspace images of all frames.
+        stages: ``(N,)`` int64 number of the task's stage in which a frame is; empty where nobody knows.
+        representation: Makes the latents.
+        labels: Hash of their labels.
+        neighbors: Demonstrations that are asked at a decision.
+    """
+
+    frames: DemonstrationFrames
+    goals: NDArray[np.uint8]
+    stages: IntArray
+    representation: "Representation"
+    labels: str
+    neighbors: int = NEIGHBORS
+
+    @classmethod
+    def open(cls, root: Path, task: Task, config: "BudsConfig", neighbors: int = NEIGHBORS) -> Self:
+        """Opens the segmented dataset that a policy was trained on.
+
+        Args:
+            root: Its folder, whole on this machine.
+            task: The task whose demonstrations are to be asked.
+            config: The policy's settings.
+            neighbors: Demonstrations that are asked at a decision.
+
+        Raises:
+            SegmentationError: It is not segmented, or its labels are out of step.
+            CheckpointError: The policy was trained on other labels, or at another frame rate.
+            DatasetError: It is damaged or incomplete, or has no demonstration of the task.
+        """
+        from lerobot_buds.demos import DatasetFiles, cached_frames
+        from lerobot_buds.representation import encode_dataset
+        from lerobot_buds.segmentation import SkillModel, load_labels
+
+        record, skills, subgoals = load_labels(root)
+        _check_labels(root, record, config)
+        starts, ends = _demonstrations_of(root, task)
+        representation = SkillModel.from_pretrained(root).representation
+        latents = np.concatenate(encode_dataset(root, representation))
+        representation.network.to(str(config.device))
+        frames = DemonstrationFrames(latents, starts, ends, skills, subgoals, record.n_skills, config.meta_period)
+        stages = _stages(root, task) if TRUE_STAGE in DatasetFiles(root).features else np.empty(0, dtype=np.int64)
+        goals = cached_frames(root, config.cameras[0])
+        return cls(frames, goals, stages, representation, record.labels_hash, neighbors)
+
+    def latents(self, observation: dict[str, Any], rows: IntArray) -> FloatArray:
+        """Encodes what some environments see now, ``(D, z)``.
+
+        Args:
+            observation: Batch of observations of the vector environment.
+            rows: ``(D,)`` the environments.
+
+        Raises:
+            CheckpointError: The observations are of another size than the dataset's.
+        """
+        from lerobot_buds.representation import encode_observations
+
+        images = {IMAGE_PREFIX + camera: pixels[rows] for camera, pixels in observation["pixels"].items()}
+        channels_first = {name: image.transpose(0, 3, 1, 2) for name, image in images.items()}
+        return encode_observations(self.representation, channels_first | {STATE: observation["agent_pos"][rows]})
+
+    def advise(
+        self, latent: FloatArray, proposed: int, possible: Sequence[int], skills_from: str, subgoals_from: str
+    ) -> Advice:
+        """Makes one decision.
+
+        Args:
+            latent: ``(z,)`` where the rollout is.
+            proposed: Skill that the meta controller chose.
+            possible: Numbers of the task's stages in which the rollout may be; without any, all frames are asked.
+            skills_from: One of `SKILL_SOURCES`.
+            subgoals_from: One of `SUBGOAL_SOURCES`.
+        """
+        distances = self.frames.distances(latent)
+        nearest = self.frames.nearest(distances, self.neighbors)
+        allowed: Mask | None = None
+        if skills_from == STAGES and possible:
+            allowed = np.isin(self.stages, possible)
+        asked = nearest if allowed is None else self.frames.nearest(distances, self.neighbors, allowed)
+        skill = proposed
+        if skills_from != META_CONTROLLER and len(asked):
+            skill = self.frames.majority_skill(asked)
+        goal = self.frames.subgoal_frame(skill, distances, allowed) if subgoals_from == DEMONSTRATIONS else None
+        return Advice(skill, self.frames.is_foreign(skill, nearest), goal)
+
+
+def _check_labels(root: Path, record: "SegmentationRecord", config: "BudsConfig") -> None:
+    if config.segmentation is not None and config.segmentation not in record.lineage:
+        raise CheckpointError(
+            f"The policy was trained on other labels than those of {root}; its skills mean something else. Give the "
+            "segmented dataset that it was trained on."
+        )
+    for name, trained, stored in (("skills", config.n_skills, record.n_skills), ("fps", config.fps, record.source.fps)):
+        if trained != stored:
+            raise CheckpointError(f"The policy was trained with {name}={trained}, {root} has {stored}.")
+
+
+def _demonstrations_of(root: Path, task: Task) -> tuple[IntArray, IntArray]:
+    """Finds the first frames, and one past the last ones, of the demonstrations of a task, ``(E,)`` each."""
+    from lerobot_buds.demos import DatasetFiles
+
+    episodes = [e for e in DatasetFiles(root).episodes if task.description in e["tasks"]]
+    if not episodes:
+        raise DatasetError(f"{root} has no demonstration of {task.description!r} ({task.name}).")
+    bounds = np.array([[e["dataset_from_index"], e["dataset_to_index"]] for e in episodes], dtype=np.int64)
+    return bounds[:, 0], bounds[:, 1]
+
+
+def _stages(root: Path, task: Task) -> IntArray:
+    """Reads the stage of every frame by its number in the task; the dataset counts the stages of all its tasks."""
+    from lerobot_buds.demos import read_collection, read_table
+
+    names = read_collection(root).get("stages", [])
+    if not set(task.stages) <= set(names):
+        return np.empty(0, dtype=np.int64)
+    numbers = np.array([task.stages.index(name) if name in task.stages else -1 for name in names], dtype=np.int64)
+    stages: IntArray = numbers[read_table(root, [TRUE_STAGE]).columns[TRUE_STAGE]]
+    return stages
