@@ -1,7 +1,7 @@
-"""A tiny segmented dataset, as a robot records it: two 32-pixel cameras, labels and subgoals written with the frames."""
+"""A tiny segmented dataset, as a robot records it: two 32-pixel cameras; labels and subgoals are frames' columns."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +69,9 @@ def _features() -> dict[str, dict[str, object]]:
     }
 
 
-def _record(root: Path, episodes: Sequence[np.ndarray] = LABELS, fps: int = FPS) -> LeRobotDatasetMetadata:
-    """Writes a dataset with the skills of `episodes` into the new folder `root`."""
+def _record(root: Path, fps: int = FPS, repeats: int = 1) -> LeRobotDatasetMetadata:
+    """Writes a dataset into the new folder `root`: `repeats` times episodes with the skills of `LABELS`."""
+    episodes = LABELS * repeats
     rng = np.random.default_rng(0)
     dataset = LeRobotDataset.create(REPO_ID, fps, _features(), root=root, use_videos=False)
     start = 0
@@ -95,7 +96,7 @@ def _record(root: Path, episodes: Sequence[np.ndarray] = LABELS, fps: int = FPS)
         dataset.save_episode()
         start += len(labels)
     dataset.finalize()
-    SegmentationRecord.of_labels(list(episodes), repo_id=REPO_ID, fps=fps, horizon=HORIZON).write(root)
+    SegmentationRecord.of_labels(episodes, repo_id=REPO_ID, fps=fps, horizon=HORIZON).write(root)
     return LeRobotDatasetMetadata(REPO_ID, root=root)
 
 

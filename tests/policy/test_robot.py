@@ -1,6 +1,7 @@
 """Runs LeRobot's own ``lerobot-rollout``, unmodified, on a simulated robot."""
 
 import importlib
+import json
 import logging
 import signal
 import sys
@@ -102,12 +103,18 @@ def test_a_robot_is_told_what_the_policy_says(save, rollout):
     actions = actions_of(robot)
     assert np.isfinite(actions).all() and np.abs(actions).max() <= 1
     # LeRobot looks once before it begins, to know where the robot is.
-    first, *shown = robot.shown
+    shown = robot.shown[1:]
     assert len(shown) == STEPS
     policy = BudsPolicy.from_pretrained(folder)
     expected = torch.cat([policy.select_action(observation_of(robot, each)) for each in shown])
     np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-6)
     assert np.abs(np.diff(actions, axis=0)).max(axis=1).min() > 1e-4  # it does see that every observation is another
+
+
+def test_cameras_may_have_other_names(save, rollout):
+    names = {f"{IMAGE_PREFIX}top": f"{IMAGE_PREFIX}agentview", f"{IMAGE_PREFIX}wrist": f"{IMAGE_PREFIX}eye_in_hand"}
+    robot = rollout(save(), **{"robot.views": ["wrist", "top"], "rename_map": json.dumps(names)})
+    assert len(robot.told) == STEPS
 
 
 @pytest.mark.parametrize("fps", [20, 12])

@@ -1,4 +1,4 @@
-"""A robot made of random numbers. LeRobot finds it as it finds anybody's: by package, registered configuration, name."""
+"""A robot of random numbers. LeRobot finds it as it finds anybody's: by package, registered configuration, name."""
 
 import signal
 from dataclasses import dataclass
