@@ -1,4 +1,4 @@
-"""A tiny segmented dataset: two 32-pixel cameras, three episodes, labels and subgoals written with the frames."""
+"""A tiny segmented dataset, as a robot records it: two 32-pixel cameras; labels and subgoals are frames' columns."""
 
 import os
 from collections.abc import Callable
@@ -35,6 +35,7 @@ HORIZON = 3
 PIXELS = 32
 TASK = "Close the drawer"
 STATE_NAMES = ["joint_1.pos", "joint_2.pos", "gripper_left.pos", "gripper_right.pos", "eef_x.pos"]
+ACTION_NAMES = ["x.pos", "y.pos", "z.pos", "gripper.pos"]
 LABELS = [np.repeat([0, 1, 0], [5, 4, 3]), np.repeat([1, 0], [6, 2]), np.repeat([0, 1], [4, 6])]
 SMALL = {
     "encoder": "conv",
@@ -61,30 +62,32 @@ def _features() -> dict[str, dict[str, object]]:
         WORKSPACE_CAMERA: image,
         EYE_IN_HAND_CAMERA: image,
         STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": STATE_NAMES},
-        ACTION: {"dtype": "float32", "shape": (4,), "names": ["x", "y", "z", "gripper"]},
+        ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": ACTION_NAMES},
         TRUE_STAGE: column,
         SKILL_ID: column,
         SUBGOAL_INDEX: column,
     }
 
 
-@pytest.fixture(scope="session")
-def dataset_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data") / "segmented"
+def _record(root: Path, fps: int = FPS, repeats: int = 1) -> LeRobotDatasetMetadata:
+    """Writes a dataset into the new folder `root`: `repeats` times episodes with the skills of `LABELS`."""
+    episodes = LABELS * repeats
     rng = np.random.default_rng(0)
-    dataset = LeRobotDataset.create(REPO_ID, FPS, _features(), root=root, use_videos=False)
+    dataset = LeRobotDataset.create(REPO_ID, fps, _features(), root=root, use_videos=False)
     start = 0
-    for labels in LABELS:
+    for labels in episodes:
         subgoals = start + subgoals_of(labels, HORIZON)
         for label, subgoal in zip(labels, subgoals, strict=True):
-            # The colour tells the skill, so that ids can be learnt.
+            # The colour tells the skill, so that ids can be learnt; and the first joint the action, but for noise.
             image = rng.integers(0, 100, (PIXELS, PIXELS, 3))
             image[..., label] += 150
+            state = rng.normal(size=len(STATE_NAMES)).astype(np.float32)
+            noise = rng.uniform(-0.3, 0.3, len(ACTION_NAMES))
             frame = {
                 WORKSPACE_CAMERA: image.astype(np.uint8),
                 EYE_IN_HAND_CAMERA: rng.integers(0, 256, (PIXELS, PIXELS, 3)).astype(np.uint8),
-                STATE: rng.normal(size=len(STATE_NAMES)).astype(np.float32),
-                ACTION: rng.uniform(-1, 1, 4).astype(np.float32),
+                STATE: state,
+                ACTION: (0.7 * np.tanh(2 * state[0]) + noise).astype(np.float32),
                 TRUE_STAGE: np.array([7]),
                 SKILL_ID: np.array([label]),
                 SUBGOAL_INDEX: np.array([subgoal]),
@@ -93,13 +96,24 @@ def dataset_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
         dataset.save_episode()
         start += len(labels)
     dataset.finalize()
-    SegmentationRecord.of_labels(LABELS, repo_id=REPO_ID, fps=FPS, horizon=HORIZON).write(root)
-    return root
+    SegmentationRecord.of_labels(episodes, repo_id=REPO_ID, fps=fps, horizon=HORIZON).write(root)
+    return LeRobotDatasetMetadata(REPO_ID, root=root)
 
 
 @pytest.fixture(scope="session")
-def meta(dataset_root: Path) -> LeRobotDatasetMetadata:
-    return LeRobotDatasetMetadata(REPO_ID, root=dataset_root)
+def record() -> Callable[..., LeRobotDatasetMetadata]:
+    return _record
+
+
+@pytest.fixture(scope="session")
+def meta(tmp_path_factory: pytest.TempPathFactory) -> LeRobotDatasetMetadata:
+    """Metadata of the dataset that most tests use: three episodes."""
+    return _record(tmp_path_factory.mktemp("data") / "segmented")
+
+
+@pytest.fixture(scope="session")
+def dataset_root(meta: LeRobotDatasetMetadata) -> Path:
+    return Path(meta.root)
 
 
 @pytest.fixture(autouse=True)
@@ -148,3 +162,15 @@ def task() -> str:
 def small() -> dict[str, Any]:
     """Sizes of the small networks, as settings of `BudsConfig`."""
     return dict(SMALL)
+
+
+@pytest.fixture
+def command() -> Callable[..., list[str]]:
+    """Writes the arguments of ``lerobot-train`` for small policies on a dataset; settings are those of its options."""
+
+    def command(root: Path, **settings: Any) -> list[str]:
+        options = {"policy.type": "buds", **{f"policy.{key}": value for key, value in SMALL.items()}}
+        options |= {"dataset.repo_id": REPO_ID, "dataset.root": root, "num_workers": 0, "log_freq": 1, "seed": 1}
+        return [f"--{key}={value}" for key, value in {**options, **settings}.items()]
+
+    return command

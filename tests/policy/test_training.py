@@ -18,7 +18,7 @@ LABEL_COLUMNS = {"skill_id", "subgoal_index", "frame_index", TRUE_STAGE}
 
 
 @pytest.fixture
-def train(dataset_root, small, monkeypatch):
+def train(monkeypatch):
     """Runs ``lerobot-train`` with the arguments; returns what every call of `forward` saw and gave."""
 
     def train(*arguments):
@@ -45,20 +45,8 @@ def train(dataset_root, small, monkeypatch):
 
 
 @pytest.fixture
-def fresh(dataset_root, small):
-    policy = [f"--policy.{key}={value}" for key, value in small.items()]
-    return [
-        "--policy.type=buds",
-        *policy,
-        "--dataset.repo_id=tests/segmented",
-        f"--dataset.root={dataset_root}",
-        "--batch_size=8",
-        "--num_workers=0",
-        "--seed=1",
-        "--log_freq=1",
-        "--steps=4",
-        "--save_freq=2",
-    ]
+def fresh(command, dataset_root):
+    return command(dataset_root, batch_size=8, steps=4, save_freq=2)
 
 
 def weights(run: Path, step: str) -> dict[str, torch.Tensor]:
