@@ -72,8 +72,8 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
     """One environment.
 
     Observations hold ``pixels`` (one ``(H, W, 3)`` uint8 image a camera, top row first), ``agent_pos`` ((12,) float32,
-    see `STATE_NAMES`) and ``render_profile`` ((1,) float32, the number of the profile, so that a policy can refuse
-    images that are drawn otherwise than those it was trained on). Actions are (4,) float32 in [-1, 1]: hand
+    see `STATE_NAMES`), and ``render_profile`` and ``control_rate`` ((1,) float32 each: the number of the profile, and
+    steps per second), so that a policy can refuse what differs from where it was trained. Actions are (4,) float32 in [-1, 1]: hand
     displacement in the world's axes (1 aims 5 cm ahead) and gripper (-1 opens, +1 closes). The reward is 1 on success,
     which ends the episode. ``info`` holds ``is_success`` (bool) and ``stages_done`` ((S,) bool: which of the task's
     stages have what they aim at now, see `STAGE_FACTS`).
@@ -106,6 +106,7 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
                 "pixels": gym.spaces.Dict(dict.fromkeys(CAMERAS, image)),
                 "agent_pos": gym.spaces.Box(-np.inf, np.inf, (len(STATE_NAMES),), np.float32),
                 "render_profile": gym.spaces.Box(0, len(PROFILES), (1,), np.float32),
+                "control_rate": gym.spaces.Box(0, np.inf, (1,), np.float32),
             }
         )
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)
@@ -211,4 +212,5 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
             "pixels": self._draw_all() if self.settings.draws else self._black,
             "agent_pos": np.concatenate([state.arm, state.fingers, state.hand]).astype(np.float32),
             "render_profile": np.array([list(PROFILES).index(self.settings.render_profile)], dtype=np.float32),
+            "control_rate": np.array([FPS], dtype=np.float32),
         }

@@ -1,11 +1,11 @@
 """Settles a configuration on the dataset the policy is built for, and refuses what does not fit together."""
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from lerobot.utils.feature_utils import dataset_to_policy_features
-from torch import Tensor
 
 from lerobot_buds.core import (
     STATE,
@@ -128,19 +128,26 @@ def task_number(config: BudsConfig, task: str) -> int:
     raise ConfigError(f"The policy does not know the task {task!r}. {known} To train on others too, set policy.tasks.")
 
 
-def check_render_profile(config: BudsConfig, given: Tensor | None) -> None:
-    """Refuses images that a simulator draws otherwise than the demonstrations.
+def check_environment(config: BudsConfig, observation: Mapping[str, Any]) -> None:
+    """Refuses a simulator that runs or draws otherwise than where the demonstrations come from.
 
     Args:
-        config: Its `render_profile` is that of the demonstrations; None, where it is not known, accepts every image.
-        given: ``(B, 1)`` number of the environment's profile; None from a robot or another environment.
+        config: Its `fps` and `render_profile` are those of the demonstrations; where they are not known, all pass.
+        observation: May hold ``observation.control_rate`` (steps per second) and ``observation.render_profile`` (its
+            number), ``(B, 1)`` each; a robot or another environment does not tell.
 
     Raises:
-        CheckpointError: The profiles differ; both are named.
+        CheckpointError: Rates or profiles differ; both are named.
     """
-    if config.render_profile is None or given is None:
+    rate, profile = (observation.get(f"observation.{name}") for name in ("control_rate", "render_profile"))
+    if rate is not None and config.fps is not None and round(float(rate.flatten()[0])) != config.fps:
+        raise CheckpointError(
+            f"The policy was trained at {config.fps} frames per second, the environment runs at "
+            f"{float(rate.flatten()[0]):g} control steps per second. Actions of one rate mean nothing at another."
+        )
+    if config.render_profile is None or profile is None:
         return
-    drawn = list(PROFILES)[int(given.flatten()[0])]
+    drawn = list(PROFILES)[int(profile.flatten()[0])]
     if drawn != config.render_profile:
         raise CheckpointError(
             f"The policy was trained on images of the render profile {config.render_profile!r}, the environment draws "

@@ -5,7 +5,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from lerobot_buds.core import ConfigError, SimulatorError
-from lerobot_buds.envs import ACTION_NAMES, CAMERAS, PROFILES, STATE_NAMES, EnvSettings, RobosuiteEnv
+from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, PROFILES, STATE_NAMES, EnvSettings, RobosuiteEnv
 
 NOTHING = np.zeros(4, np.float32)
 
@@ -21,7 +21,7 @@ def test_observations_are_those_of_the_spaces(env):
     assert env.action_space.shape == (len(ACTION_NAMES),)
     assert observation["agent_pos"].shape == (len(STATE_NAMES),) == (12,)
     assert set(observation["pixels"]) == set(CAMERAS)
-    assert observation["render_profile"] == list(PROFILES).index("fastest")
+    assert observation["render_profile"] == list(PROFILES).index("fastest") and observation["control_rate"] == FPS
     np.testing.assert_allclose(observation["agent_pos"][9:], env.state.hand, atol=1e-6)
     assert info["is_success"] is False and info["stages_done"].tolist() == [False, False]
     assert env.render().shape == (16, 16, 3)
