@@ -75,8 +75,8 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
     see `STATE_NAMES`), and ``render_profile`` and ``control_rate`` ((1,) float32 each: the number of the profile, and
     steps per second), so that a policy can refuse what differs from where it was trained. Actions are (4,) float32 in
     [-1, 1]: hand displacement in the world's axes (1 aims 5 cm ahead) and gripper (-1 opens, +1 closes). The reward is
-    1 on success, which ends the episode. ``info`` holds ``is_success`` (bool) and ``stages_done`` ((S,) bool: which of the task's
-    stages have what they aim at now, see `STAGE_FACTS`).
+    1 on success, which ends the episode. ``info`` holds ``is_success`` (bool) and ``stages_done`` ((S,) bool: which of
+    the task's stages have what they aim at now, see `STAGE_FACTS`).
 
     Args:
         settings: The task and how it is drawn.
