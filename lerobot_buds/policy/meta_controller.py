@@ -100,7 +100,7 @@ class MetaController(nn.Module):
         decoded = self.imagine(feature, skill, latent)
         return MetaLosses(
             skill_id=F.cross_entropy(logits, skill, reduction="none"),
-            subgoal=(decoded - subgoal).square().sum(dim=1),
+            subgoal=(decoded.float() - subgoal.float()).square().sum(dim=1),
             kl=0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=1),
             correct=(logits.argmax(dim=1) == skill).float(),
         )

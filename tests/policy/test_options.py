@@ -87,6 +87,20 @@ def test_a_flat_policy_needs_no_segmentation_and_decides_nothing(build, batch, d
     assert torch.equal(torch.get_rng_state(), state) and policy.current_skills.tolist() == [0]
 
 
+@pytest.mark.parametrize("norm", ["batch", "group"])
+def test_mixed_precision_gives_the_same_loss_about(build, batch, norm):
+    policy = build(norm=norm, crop_padding=0, subgoal_noise=0.0).train()
+    losses = []
+    for mixed in (False, True):
+        torch.manual_seed(0)
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=mixed):
+            loss, metrics = policy(batch(policy))
+        loss.backward()
+        losses.append(metrics)
+    assert losses[0] != losses[1]
+    assert losses[1] == pytest.approx(losses[0], rel=0.05, abs=0.05)
+
+
 def test_a_shared_trunk_is_run_once_for_all_skills(build, batch):
     policy = build(shared_trunk=True)
     runs = []
