@@ -98,7 +98,11 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return [{"name": name, "params": params} for name, params in trained.items() if params]
 
     def train(self, mode: bool = True) -> Self:
-        """Switches to training, in which skills that are not trained now keep their batch statistics."""
+        """Switches to training, in which skills that are not trained now keep their batch statistics, or to acting."""
+        if mode != self.training:
+            # One image at a time, weights with the channels together save a third of the time. In training they must
+            # lie in order: LeRobot cannot save the state of an optimiser that takes after others.
+            self.to(memory_format=torch.contiguous_format if mode else torch.channels_last)
         super().train(mode)
         if mode and not self._learns_skills:
             self.skills.eval()

@@ -43,6 +43,15 @@ def test_a_step_changes_every_parameter_and_no_input(build, batch_of):
         assert torch.equal(value, before_batch[key]) if isinstance(value, torch.Tensor) else value == before_batch[key]
 
 
+def test_weights_lie_in_order_in_training_only(build):
+    # LeRobot saves the optimiser's state, which takes after the weights, and can save only what is contiguous.
+    policy = build().eval()
+    weights = [p for p in policy.parameters() if p.ndim == 4 and p.shape[1] > 1 and p.shape[2] > 1]
+    assert weights and not any(p.is_contiguous() for p in weights)
+    policy.train()
+    assert all(p.is_contiguous() for p in policy.parameters())
+
+
 def test_processors_pass_everything_on(build, batch_of):
     policy = build()
     prepare, finish = make_pre_post_processors(policy.config, dataset_stats=None)
