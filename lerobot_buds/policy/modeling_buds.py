@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from lerobot_buds.core import ACTION, STATE, CheckpointError, DatasetError
 
 from .configuration_buds import BudsConfig
-from .images import random_shift, scale_images
+from .images import lay_out, random_shift, scale_images
 from .labels import LabelTable, Supervision
 from .meta_controller import MetaControllers
 from .proprioception import Proprioception
@@ -82,6 +82,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self._labels: LabelTable | None = None
         self._targets: TargetTable | None = None
         self._rollouts: dict[int, Rollout] = {}
+        self._laid_out_for_acting = False
 
     @classmethod
     def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:
@@ -98,12 +99,10 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return [{"name": name, "params": params} for name, params in trained.items() if params]
 
     def train(self, mode: bool = True) -> Self:
-        """Switches to training, in which skills that are not trained now keep their batch statistics, or to acting."""
-        if mode != self.training:
-            # One image at a time, weights with the channels together save a third of the time. In training they must
-            # lie in order: LeRobot cannot save the state of an optimiser that takes after others.
-            self.to(memory_format=torch.contiguous_format if mode else torch.channels_last)
+        """Switches to training, in which skills that are not trained now keep their batch statistics."""
         super().train(mode)
+        if mode:
+            self._lay_out_for_acting(False)
         if mode and not self._learns_skills:
             self.skills.eval()
         return self
@@ -237,6 +236,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         """
         if self.training:
             self.eval()
+        self._lay_out_for_acting(True)
         images, state, task = self._inputs(batch)
         reading = self.proprioception.reading(state)
         rollout = self._rollouts.get(threading.get_ident())
@@ -254,6 +254,12 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         actions, ending = self.skills(rollout.skill, images, rollout.subgoal, proprio)
         ended = ending > 0 if self.config.termination else torch.ones_like(due)
         return rollout.advance(reading, actions, ended, self.config.ensemble_decay)
+
+    def _lay_out_for_acting(self, acting: bool) -> None:
+        # Not before the first action: optimisers and data parallelism take the order in which they find the weights.
+        if acting != self._laid_out_for_acting:
+            lay_out(self, torch.channels_last if acting else torch.contiguous_format)
+            self._laid_out_for_acting = acting
 
     def _start(self, reading: Tensor) -> Rollout:
         config = self.config

@@ -43,13 +43,20 @@ def test_a_step_changes_every_parameter_and_no_input(build, batch_of):
         assert torch.equal(value, before_batch[key]) if isinstance(value, torch.Tensor) else value == before_batch[key]
 
 
-def test_weights_lie_in_order_in_training_only(build):
+def test_weights_lie_otherwise_for_acting_only(build, batch_of):
     # LeRobot saves the optimiser's state, which takes after the weights, and can save only what is contiguous.
-    policy = build().eval()
+    policy = build()
+    before = [p.stride() for p in policy.parameters()]
+    with torch.inference_mode():  # as lerobot-eval does, in the midst of training too
+        policy.select_action({k: v for k, v in batch_of(0).items() if k.startswith("observation")})
     weights = [p for p in policy.parameters() if p.ndim == 4 and p.shape[1] > 1 and p.shape[2] > 1]
     assert weights and not any(p.is_contiguous() for p in weights)
     policy.train()
-    assert all(p.is_contiguous() for p in policy.parameters())
+    # Strides to the last: the order of sums, hence an exact resume, depends on them.
+    assert [p.stride() for p in policy.parameters()] == before
+    loss, _ = policy(batch_of(*range(30)))
+    loss.backward()
+    assert all(p.grad is not None for p in policy.parameters())
 
 
 def test_processors_pass_everything_on(build, batch_of):
