@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
-    from lerobot_buds.policy import BudsConfig
     from lerobot_buds.policy.modeling_buds import BudsPolicy
 
 CONFIG_FILE, WEIGHTS_FILE = "config.json", "model.safetensors"
@@ -53,7 +52,7 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
     from lerobot.configs import PreTrainedConfig
     from lerobot.policies import make_policy, make_pre_post_processors
 
-    import lerobot_buds.policy  # noqa: F401  # registers the policy with LeRobot
+    from lerobot_buds.policy.settling import check_environment, task_number  # registers the policy with LeRobot, too
     from lerobot_buds.representation import download
 
     folder = Path(name) if Path(name).is_dir() else download(name, ["*.json", "*.safetensors"])
@@ -61,7 +60,8 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
     config = PreTrainedConfig.from_pretrained(folder)
     config.pretrained_path = folder
     config.device = device or config.device
-    check_environment(config, env, task)
+    check_environment(config, env.fps, env.render_profile)
+    task_number(config, task.description)
     policy = make_policy(config, env_cfg=env)
     preprocess, postprocess = make_pre_post_processors(
         config,
@@ -70,27 +70,6 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
     )
     files = [sha256_of_file(folder / file) for file in (CONFIG_FILE, WEIGHTS_FILE)]
     return Checkpoint(policy, preprocess, postprocess, sha256_of_json(files))
-
-
-def check_environment(config: "BudsConfig", env: "RobosuiteEnvConfig", task: Task) -> None:
-    """Refuses an environment that differs from the demonstrations that a policy was trained on.
-
-    Raises:
-        CheckpointError: The frame rate or the render profile differs.
-        ConfigError: The policy was not trained on the task.
-    """
-    from lerobot_buds.policy.settling import task_number
-
-    if config.fps is not None and config.fps != env.fps:
-        raise CheckpointError(
-            f"The policy was trained at {config.fps} frames a second, the environment runs at {env.fps}."
-        )
-    if config.render_profile is not None and config.render_profile != env.render_profile:
-        raise CheckpointError(
-            f"The policy was trained on images of the render profile {config.render_profile!r}, the environment draws "
-            f"{env.render_profile!r}. Use --env.render_profile={config.render_profile}."
-        )
-    task_number(config, task.description)
 
 
 def _check_files(folder: Path) -> None:

@@ -19,7 +19,7 @@ from .meta_controller import MetaControllers
 from .proprioception import Proprioception
 from .reuse import TrainedSkills
 from .rollout import Rollout, choose_skills
-from .settling import check_environment, settle_on_dataset, settle_without_dataset, task_number
+from .settling import check_observation, settle_on_dataset, settle_without_dataset, task_number
 from .skills import SkillLibrary
 from .targets import TargetTable
 
@@ -321,7 +321,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             expected, given = tuple(feature.shape), tuple(batch[key].shape[1:])
             if expected != given:
                 raise CheckpointError(f"{key}: the policy was made for shape {expected}, the observation has {given}.")
-        check_environment(self.config, batch)
+        check_observation(self.config, batch)
         scaled = [scale_images(batch[key], self.config.image_shape) for key in self.config.cameras]
         images = torch.cat(scaled, dim=1)
         state = batch[STATE] if STATE in self.config.input_features else images.new_zeros(len(images), 0)

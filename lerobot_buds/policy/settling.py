@@ -128,11 +128,11 @@ def task_number(config: BudsConfig, task: str) -> int:
     raise ConfigError(f"The policy does not know the task {task!r}. {known} To train on others too, set policy.tasks.")
 
 
-def check_environment(config: BudsConfig, observation: Mapping[str, Any]) -> None:
-    """Refuses a simulator that runs or draws otherwise than where the demonstrations come from.
+def check_observation(config: BudsConfig, observation: Mapping[str, Any]) -> None:
+    """Refuses observations of a simulator that runs or draws otherwise than where the demonstrations come from.
 
     Args:
-        config: Its `fps` and `render_profile` are those of the demonstrations; where they are not known, all pass.
+        config: See `check_environment`.
         observation: May hold ``observation.control_rate`` (steps per second) and ``observation.render_profile`` (its
             number), ``(B, 1)`` each; a robot or another environment does not tell.
 
@@ -140,18 +140,33 @@ def check_environment(config: BudsConfig, observation: Mapping[str, Any]) -> Non
         CheckpointError: Rates or profiles differ; both are named.
     """
     rate, profile = (observation.get(f"observation.{name}") for name in ("control_rate", "render_profile"))
-    if rate is not None and config.fps is not None and round(float(rate.flatten()[0])) != config.fps:
+    check_environment(
+        config,
+        None if rate is None else float(rate.flatten()[0]),
+        None if profile is None else list(PROFILES)[int(profile.flatten()[0])],
+    )
+
+
+def check_environment(config: BudsConfig, rate: float | None, profile: str | None) -> None:
+    """Refuses an environment that runs or draws otherwise than where the demonstrations come from.
+
+    Args:
+        config: Its `fps` and `render_profile` are those of the demonstrations; where they are not known, all pass.
+        rate: Control steps per second; None where nobody tells.
+        profile: Render profile; None where nobody tells.
+
+    Raises:
+        CheckpointError: Rates or profiles differ; both are named.
+    """
+    if rate is not None and config.fps is not None and round(rate) != config.fps:
         raise CheckpointError(
-            f"The policy was trained at {config.fps} frames per second, the environment runs at "
-            f"{float(rate.flatten()[0]):g} control steps per second. Actions of one rate mean nothing at another."
+            f"The policy was trained at {config.fps} frames a second, the environment runs at {rate:g} control steps. "
+            "Actions of one rate mean nothing at another."
         )
-    if config.render_profile is None or profile is None:
-        return
-    drawn = list(PROFILES)[int(profile.flatten()[0])]
-    if drawn != config.render_profile:
+    if profile is not None and config.render_profile is not None and profile != config.render_profile:
         raise CheckpointError(
             f"The policy was trained on images of the render profile {config.render_profile!r}, the environment draws "
-            f"{drawn!r}. Use --env.render_profile={config.render_profile}."
+            f"{profile!r}. Use --env.render_profile={config.render_profile}."
         )
 
 

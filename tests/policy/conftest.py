@@ -1,6 +1,8 @@
 """A tiny segmented dataset, as a robot records it: two 32-pixel cameras; labels and subgoals are frames' columns."""
 
+import logging
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -162,6 +164,23 @@ def task() -> str:
 def small() -> dict[str, Any]:
     """Sizes of the small networks, as settings of `BudsConfig`."""
     return dict(SMALL)
+
+
+@pytest.fixture
+def run_script(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Runs a console script's `main` with arguments in this process, and gives the logging back that it takes over."""
+
+    def run_script(main: Callable[[], object], *arguments: object) -> None:
+        logger = logging.getLogger()
+        level, handlers = logger.level, list(logger.handlers)
+        monkeypatch.setattr(sys, "argv", [main.__module__, *map(str, arguments)])
+        try:
+            main()
+        finally:
+            logger.setLevel(level)
+            logger.handlers[:] = handlers
+
+    return run_script
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """Trains with LeRobot's own script in two processes on one machine, without a GPU."""
 
-import logging
 import os
 import re
 import shutil
@@ -54,18 +53,11 @@ def two_processes(*arguments):
 
 
 @pytest.fixture
-def one_process(monkeypatch, capsys):
+def one_process(run_script, capsys):
     """Runs the training script in this process; returns what it logged."""
 
     def one_process(*arguments):
-        logger = logging.getLogger()
-        level, outputs = logger.level, list(logger.handlers)
-        monkeypatch.setattr(sys, "argv", ["lerobot-train", *arguments])
-        try:
-            lerobot_train.main()
-        finally:
-            logger.setLevel(level)
-            logger.handlers[:] = outputs
+        run_script(lerobot_train.main, *arguments)
         return capsys.readouterr().err
 
     return one_process

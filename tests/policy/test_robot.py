@@ -2,9 +2,7 @@
 
 import importlib
 import json
-import logging
 import signal
-import sys
 from itertools import groupby
 from pathlib import Path
 
@@ -46,7 +44,7 @@ def robots(monkeypatch):
 
 
 @pytest.fixture
-def rollout(meta, task, robots, monkeypatch):
+def rollout(meta, task, robots, run_script):
     """Runs ``lerobot-rollout`` on a robot like that of the dataset, until its user presses Ctrl-C."""
 
     def rollout(policy, **options):
@@ -68,14 +66,9 @@ def rollout(meta, task, robots, monkeypatch):
         arguments = [f"--{key}={value}" for key, value in {**settings, **options}.items()]
         handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
         handlers |= {number: signal.getsignal(number) for number in (signal.SIGHUP, signal.SIGQUIT)}
-        logger = logging.getLogger()
-        level, outputs = logger.level, list(logger.handlers)
-        monkeypatch.setattr(sys, "argv", ["lerobot-rollout", *arguments])
         try:
-            lerobot_rollout.main()
+            run_script(lerobot_rollout.main, *arguments)
         finally:
-            logger.setLevel(level)
-            logger.handlers[:] = outputs
             for number, handler in handlers.items():
                 signal.signal(number, handler)
         return robots[-1]

@@ -19,7 +19,7 @@ from lerobot_buds.core import (
 )
 from lerobot_buds.envs import PROFILES
 from lerobot_buds.policy import BudsConfig
-from lerobot_buds.policy.settling import check_environment, settle_state, state_names, task_number
+from lerobot_buds.policy.settling import check_observation, settle_state, state_names, task_number
 
 
 def config_of(**overrides):
@@ -192,15 +192,15 @@ def test_images_drawn_otherwise_than_the_demonstrations_are_refused():
     def drawn(profile):
         return {"observation.render_profile": torch.tensor([[float(profiles.index(profile))]] * 2)}
 
-    check_environment(config, drawn("fast"))
-    check_environment(config, {})
-    check_environment(config_of(), drawn("full"))
+    check_observation(config, drawn("fast"))
+    check_observation(config, {})
+    check_observation(config_of(), drawn("full"))
     with pytest.raises(CheckpointError, match=r"'fast'.*'full'"):
-        check_environment(config, drawn("full"))
+        check_observation(config, drawn("full"))
 
 
 def test_an_environment_of_another_rate_is_refused():
-    check_environment(config_of(fps=20), {"observation.control_rate": torch.tensor([[20.0]])})
-    check_environment(config_of(), {"observation.control_rate": torch.tensor([[20.0]])})
-    with pytest.raises(CheckpointError, match=r"at 10 frames per second.*at 20 control steps"):
-        check_environment(config_of(fps=10), {"observation.control_rate": torch.tensor([[20.0]])})
+    check_observation(config_of(fps=20), {"observation.control_rate": torch.tensor([[20.0]])})
+    check_observation(config_of(), {"observation.control_rate": torch.tensor([[20.0]])})
+    with pytest.raises(CheckpointError, match=r"at 10 frames a second.*at 20 control steps"):
+        check_observation(config_of(fps=10), {"observation.control_rate": torch.tensor([[20.0]])})

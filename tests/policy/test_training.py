@@ -1,8 +1,6 @@
 """Runs LeRobot's own training script, unmodified: fresh, resumed, fine-tuned."""
 
-import logging
 import math
-import sys
 from pathlib import Path
 
 import pytest
@@ -18,7 +16,7 @@ LABEL_COLUMNS = {"skill_id", "subgoal_index", "frame_index", TRUE_STAGE}
 
 
 @pytest.fixture
-def train(monkeypatch):
+def train(run_script, monkeypatch):
     """Runs ``lerobot-train`` with the arguments; returns what every call of `forward` saw and gave."""
 
     def train(*arguments):
@@ -35,10 +33,7 @@ def train(monkeypatch):
 
         with monkeypatch.context() as patch:
             patch.setattr(BudsPolicy, "forward", recorded)
-            patch.setattr(sys, "argv", ["lerobot-train", *map(str, arguments)])
-            level = logging.getLogger().level
-            lerobot_train.main()
-            logging.getLogger().setLevel(level)
+            run_script(lerobot_train.main, *arguments)
         return calls
 
     return train
