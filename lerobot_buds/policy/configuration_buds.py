@@ -89,7 +89,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     meta_encoder_widths: list[int] = field(default_factory=lambda: [256, 256])  # released code
     meta_head_widths: list[int] = field(default_factory=lambda: [300, 400])  # released code
     meta_conv_feature: int = 128  # image feature with encoder "conv"; ResNet-18 gives 512 (ours)
-    kl_weight: float = 1e-4  # per sample; the released 0.01 weighs a mean against sums over batches of 100
+    kl_weight: float = 0.02  # per sample: 2 subgoal_noise^2, see docs/policy.md (ours; released: 1e-4)
 
     # Training
     schedule: str = "joint"  # skills and meta controller together (ours), or "sequential": the skills first (paper)

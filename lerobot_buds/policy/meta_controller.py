@@ -14,12 +14,23 @@ from .groups import by_group
 
 @dataclass(frozen=True)
 class MetaLosses:
-    """The terms of the meta controller's loss, and whether it chose right, per sample, ``(B,)`` floats each."""
+    """The terms of the meta controller's loss and what it would do when acting, per sample, ``(B,)`` floats each.
+
+    Attributes:
+        skill_id: Cross-entropy of the skill.
+        subgoal: Squared error of the subgoal that is decoded from the posterior.
+        kl: Divergence of the posterior from the prior (nats).
+        correct: Whether the most probable skill is the right one.
+        imagined: Squared error of the subgoal that is decoded from the prior, as in a rollout; not trained on.
+        spread: Squared distance of the true subgoal from the mean of the batch: `imagined` is to stay well below it.
+    """
 
     skill_id: Tensor
     subgoal: Tensor
     kl: Tensor
     correct: Tensor
+    imagined: Tensor
+    spread: Tensor
 
 
 class MetaController(nn.Module):
@@ -98,12 +109,20 @@ class MetaController(nn.Module):
         if self.training:
             latent = mean + torch.exp(0.5 * log_variance) * torch.randn_like(mean)
         decoded = self.imagine(feature, skill, latent)
+        with torch.no_grad():
+            imagined = self.imagine(feature, skill, torch.randn_like(mean) if self.training else torch.zeros_like(mean))
         return MetaLosses(
             skill_id=F.cross_entropy(logits, skill, reduction="none"),
-            subgoal=(decoded.float() - subgoal.float()).square().sum(dim=1),
+            subgoal=_squared_distance(decoded, subgoal),
             kl=0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=1),
             correct=(logits.argmax(dim=1) == skill).float(),
+            imagined=_squared_distance(imagined, subgoal),
+            spread=_squared_distance(subgoal, subgoal.mean(dim=0)),
         )
+
+
+def _squared_distance(one: Tensor, other: Tensor) -> Tensor:
+    return (one.float() - other.float()).square().sum(dim=1)
 
 
 class MetaControllers(nn.Module):

@@ -23,6 +23,16 @@ from .settling import check_observation, settle_on_dataset, settle_without_datas
 from .skills import SkillLibrary
 from .targets import TargetTable
 
+META_TERMS = (
+    "skill_id_loss",
+    "subgoal_loss",
+    "kl_loss",
+    "skill_id_accuracy",
+    "imagined_subgoal_loss",
+    "subgoal_spread",
+)
+"""The names under which the fields of `MetaLosses` are logged."""
+
 Override = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
@@ -143,20 +153,14 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             if not target.shape[1]:
                 target = self._kept_targets(batch["index"], labels)
             meta = self.meta_controllers.losses(self._seen_by_meta(images), task, labels.skill, target)
-            terms |= {
-                "skill_id_loss": meta.skill_id,
-                "subgoal_loss": meta.subgoal,
-                "kl_loss": meta.kl,
-                "skill_id_accuracy": meta.correct,
-            }
+            terms |= dict(zip(META_TERMS, vars(meta).values(), strict=True))
             loss = loss + meta.skill_id + meta.subgoal + self.config.kl_weight * meta.kl
         means = torch.stack([term.detach().float().mean() for term in terms.values()]).tolist()
         return loss if reduction == "none" else loss.mean(), dict(zip(terms, means, strict=True))
 
     def _terms(self) -> list[str]:
         skills = ["skill_loss", *(["termination_loss"] if self.config.termination else [])]
-        meta = ["skill_id_loss", "subgoal_loss", "kl_loss", "skill_id_accuracy"]
-        return skills + meta if self.meta_controllers is not None else skills
+        return [*skills, *META_TERMS] if self.meta_controllers is not None else skills
 
     def _skill_terms(
         self, batch: dict[str, Any], labels: Supervision, images: Tensor, state: Tensor, subgoal: Tensor
