@@ -81,8 +81,8 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     # Meta controller
     meta_controllers: str = "per_task"  # one for each task (paper), or one that is "conditioned" on the task (ours)
     meta_cameras: str = "workspace"  # (paper) or "all"
-    decoder_sees_skill: bool = False  # the subgoal is imagined for the skill that was picked (ours; released: not)
-    drawn_subgoals: bool = True  # latent drawn afresh at every decision (released code); else its mean, 0
+    decoder_sees_skill: bool = True  # the subgoal is imagined for the skill that was picked (ours; released: not)
+    drawn_subgoals: bool = False  # latent drawn afresh at every decision (released code); else its mean, 0 (ours)
     switch_margin: float = 0.0  # by how much another skill must be more probable to be switched to (ours)
     meta_period_s: float = 0.25  # 4 Hz (paper)
     meta_latent: int = 64  # released code

@@ -225,8 +225,9 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
 
         Args:
             batch: The inputs, and ``task`` strings where there are several tasks.
-            noise: ``(B, latent)`` standard normal numbers for the subgoals that are decided now; drawn from torch's
-                default generator (CPU) where not given, and only in steps with a decision.
+            noise: ``(B, latent)`` standard normal numbers for the subgoals that are decided now, with
+                `drawn_subgoals`; drawn from torch's default generator (CPU) where not given, and only in steps with a
+                decision.
             override: Called at every decision with the ``(D,)`` int64 rows of the batch that decide now, their ``(D,)``
                 int64 skills and ``(D, subgoal_dim)`` subgoals; what it returns in the place of the last two is done.
             kwargs: Not used.
@@ -277,10 +278,10 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
     ) -> tuple[Tensor, Tensor]:
         """Asks the meta controllers of some rows for ``(D,)`` skills and ``(D, subgoal_dim)`` subgoals."""
         assert self.meta_controllers is not None
-        if noise is None:
-            noise = torch.randn(len(images), self.config.meta_latent)
         if not self.config.drawn_subgoals:
-            noise = torch.zeros_like(noise)
+            noise = torch.zeros(len(images), self.config.meta_latent)
+        elif noise is None:
+            noise = torch.randn(len(images), self.config.meta_latent)
         feature, logits = self.meta_controllers.propose(self._seen_by_meta(images)[rows], task[rows])
         skill = choose_skills(logits, rollout.skill[rows], rollout.ended[rows], self.config.switch_margin)
         return skill, self.meta_controllers.imagine(feature, task[rows], skill, noise.to(images)[rows])

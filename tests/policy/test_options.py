@@ -22,7 +22,7 @@ OPTIONS = [
     {"chunk_size": 3},
     {"termination": True, "switch_margin": 0.2},
     {"meta_controllers": "conditioned", "tasks": ["Close the drawer", "Boil the pot"]},
-    {"meta_cameras": "all", "decoder_sees_skill": True, "drawn_subgoals": False},
+    {"meta_cameras": "all", "decoder_sees_skill": False, "drawn_subgoals": True},
     {"balance_skills": True},
     {"history_dims": [], "current_dims": []},
 ]

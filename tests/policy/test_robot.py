@@ -89,7 +89,7 @@ def observation_of(robot, shown):
 
 
 def test_a_robot_is_told_what_the_policy_says(save, rollout):
-    folder = save(drawn_subgoals=False)
+    folder = save()
     robot = rollout(folder)
     assert not robot.is_connected
     assert [set(action) for action in robot.told] == [set(robot.config.actuators)] * STEPS
@@ -114,7 +114,7 @@ def test_cameras_may_have_other_names(save, rollout):
 def test_the_meta_controller_decides_four_times_a_second(save, record, rollout, tmp_path, fps):
     """Before a scene that stands still nothing but a decision, with its newly drawn subgoal, changes the action."""
     dataset = record(tmp_path / "data", fps=fps)
-    robot = rollout(save(dataset), **{"robot.still": "true", "fps": fps})
+    robot = rollout(save(dataset, drawn_subgoals=True), **{"robot.still": "true", "fps": fps})
     held = [len(list(group)) for _, group in groupby(map(tuple, actions_of(robot)))]
     period = round(0.25 * fps)
     assert held == [period] * (STEPS // period) + [STEPS % period]

@@ -23,8 +23,9 @@ def observe(batch_of):
     return observe
 
 
-def test_batched_steps_equal_single_ones(build, observe):
-    policy = build()
+@pytest.mark.parametrize("drawn", [False, True])
+def test_batched_steps_equal_single_ones(build, observe, drawn):
+    policy = build(drawn_subgoals=drawn)
     noise = torch.randn(3, policy.config.meta_latent)
     steps = [(t, 12 + t, 20 + t) for t in range(7)]
     policy.reset()
@@ -56,7 +57,7 @@ def test_a_decision_is_held_for_exactly_its_period(build, observe, monkeypatch):
 
 
 def test_environments_may_decide_at_different_steps(build, observe):
-    policy = build()
+    policy = build(drawn_subgoals=True)
     policy.reset()
     policy.select_action(observe(0, 12))
     rollout = policy._rollouts[threading.get_ident()]
@@ -89,8 +90,8 @@ def test_an_override_replaces_decisions_when_they_fall_due(build, observe):
     assert not policy._rollouts[threading.get_ident()].subgoal.any()
 
 
-def test_the_drawn_latent_is_the_generators_and_matters(build, observe):
-    policy = build()
+def test_only_a_drawn_latent_is_the_generators_and_matters(build, observe):
+    policy = build(drawn_subgoals=True)
 
     def act(seed):
         policy.reset()
@@ -98,6 +99,8 @@ def test_the_drawn_latent_is_the_generators_and_matters(build, observe):
         return policy.select_action(observe(0))
 
     assert torch.equal(act(1), act(1)) and not torch.equal(act(1), act(2))
+    policy.config.drawn_subgoals = False
+    assert torch.equal(act(1), act(2))
 
 
 def test_evaluation_neither_shifts_nor_adds_noise(build, batch_of):
