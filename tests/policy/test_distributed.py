@@ -71,7 +71,8 @@ def arguments(command, long_root, tmp_path):
     """
 
     def arguments(name, **settings):
-        quiet = {"policy.crop_padding": 0, "policy.subgoal_noise": 0, "policy.optimizer_lr": 1e-2}
+        quiet = {"policy.crop_padding": 0, "policy.subgoal_noise": 0, "policy.decoder_sees_skill": "false"}
+        quiet |= {"policy.optimizer_lr": 1e-2}
         return command(long_root, **quiet, output_dir=tmp_path / name, **settings)
 
     return arguments
