@@ -16,21 +16,24 @@ from .groups import by_group
 class MetaLosses:
     """The terms of the meta controller's loss and what it would do when acting, per sample, ``(B,)`` floats each.
 
+    The names are those under which their means are logged.
+
     Attributes:
-        skill_id: Cross-entropy of the skill.
-        subgoal: Squared error of the subgoal that is decoded from the posterior.
-        kl: Divergence of the posterior from the prior (nats).
-        correct: Whether the most probable skill is the right one.
-        imagined: Squared error of the subgoal that is decoded from the prior, as in a rollout; not trained on.
-        spread: Squared distance of the true subgoal from the mean of the batch: `imagined` is to stay well below it.
+        skill_id_loss: Cross-entropy of the skill.
+        subgoal_loss: Squared error of the subgoal that is decoded from the posterior.
+        kl_loss: Divergence of the posterior from the prior (nats).
+        skill_id_accuracy: Whether the most probable skill is the right one.
+        imagined_subgoal_loss: Squared error of the subgoal decoded from the prior, as in a rollout; not trained on.
+        subgoal_spread: Squared distance of the true subgoal from the mean of the batch;
+            `imagined_subgoal_loss` is to stay well below it.
     """
 
-    skill_id: Tensor
-    subgoal: Tensor
-    kl: Tensor
-    correct: Tensor
-    imagined: Tensor
-    spread: Tensor
+    skill_id_loss: Tensor
+    subgoal_loss: Tensor
+    kl_loss: Tensor
+    skill_id_accuracy: Tensor
+    imagined_subgoal_loss: Tensor
+    subgoal_spread: Tensor
 
 
 class MetaController(nn.Module):
@@ -112,12 +115,12 @@ class MetaController(nn.Module):
         with torch.no_grad():
             imagined = self.imagine(feature, skill, torch.randn_like(mean) if self.training else torch.zeros_like(mean))
         return MetaLosses(
-            skill_id=F.cross_entropy(logits, skill, reduction="none"),
-            subgoal=_squared_distance(decoded, subgoal),
-            kl=0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=1),
-            correct=(logits.argmax(dim=1) == skill).float(),
-            imagined=_squared_distance(imagined, subgoal),
-            spread=_squared_distance(subgoal, subgoal.mean(dim=0)),
+            skill_id_loss=F.cross_entropy(logits, skill, reduction="none"),
+            subgoal_loss=_squared_distance(decoded, subgoal),
+            kl_loss=0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=1),
+            skill_id_accuracy=(logits.argmax(dim=1) == skill).float(),
+            imagined_subgoal_loss=_squared_distance(imagined, subgoal),
+            subgoal_spread=_squared_distance(subgoal, subgoal.mean(dim=0)),
         )
 
 

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,23 +16,13 @@ from lerobot_buds.core import ACTION, STATE, CheckpointError, DatasetError
 from .configuration_buds import BudsConfig
 from .images import lay_out, random_shift, scale_images
 from .labels import LabelTable, Supervision
-from .meta_controller import MetaControllers
+from .meta_controller import MetaControllers, MetaLosses
 from .proprioception import Proprioception
 from .reuse import TrainedSkills
 from .rollout import Rollout, choose_skills
 from .settling import check_observation, settle_on_dataset, settle_without_dataset, task_number
 from .skills import SkillLibrary
 from .targets import TargetTable
-
-META_TERMS = (
-    "skill_id_loss",
-    "subgoal_loss",
-    "kl_loss",
-    "skill_id_accuracy",
-    "imagined_subgoal_loss",
-    "subgoal_spread",
-)
-"""The names under which the fields of `MetaLosses` are logged."""
 
 Override = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 
@@ -153,14 +144,15 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             if not target.shape[1]:
                 target = self._kept_targets(batch["index"], labels)
             meta = self.meta_controllers.losses(self._seen_by_meta(images), task, labels.skill, target)
-            terms |= dict(zip(META_TERMS, vars(meta).values(), strict=True))
-            loss = loss + meta.skill_id + meta.subgoal + self.config.kl_weight * meta.kl
+            terms |= vars(meta)
+            loss = loss + meta.skill_id_loss + meta.subgoal_loss + self.config.kl_weight * meta.kl_loss
         means = torch.stack([term.detach().float().mean() for term in terms.values()]).tolist()
         return loss if reduction == "none" else loss.mean(), dict(zip(terms, means, strict=True))
 
     def _terms(self) -> list[str]:
         skills = ["skill_loss", *(["termination_loss"] if self.config.termination else [])]
-        return [*skills, *META_TERMS] if self.meta_controllers is not None else skills
+        meta = [field.name for field in fields(MetaLosses)]
+        return skills + meta if self.meta_controllers is not None else skills
 
     def _skill_terms(
         self, batch: dict[str, Any], labels: Supervision, images: Tensor, state: Tensor, subgoal: Tensor

@@ -15,7 +15,11 @@ def spots(places: torch.Tensor) -> torch.Tensor:
     return torch.exp(-8 * (x.square() + y.square()))[:, None].expand(-1, 3, -1, -1)
 
 
-@pytest.mark.parametrize(("settings", "follows"), [({}, True), ({"kl_weight": 1e-4}, False)], ids=["ours", "published"])
+@pytest.mark.parametrize(
+    ("settings", "follows"),
+    [({}, True), ({"kl_weight": 1e-4, "decoder_sees_skill": False}, False)],
+    ids=["ours", "published"],
+)
 def test_imagined_subgoals_follow_the_image(build, settings, follows):
     """With the published weight all goes through the latent: the training loss is lower, but acting is blind."""
     config = build(**settings).config
@@ -28,9 +32,9 @@ def test_imagined_subgoals_follow_the_image(build, settings, follows):
         seen, whim = torch.rand(2, BATCH, 2).mul(2).sub(1)
         losses = controllers.losses(spots(seen), none, none, torch.cat([seen, whim], dim=1))
         optimizer.zero_grad()
-        (losses.subgoal + config.kl_weight * losses.kl).mean().backward()
+        (losses.subgoal_loss + config.kl_weight * losses.kl_loss).mean().backward()
         optimizer.step()
     controllers.eval()
     losses = controllers.losses(spots(seen), none, none, torch.cat([seen, whim], dim=1))
-    explained = 1 - float(losses.imagined.mean() / losses.spread.mean())
+    explained = 1 - float(losses.imagined_subgoal_loss.mean() / losses.subgoal_spread.mean())
     assert (explained > 0.3) is follows, explained

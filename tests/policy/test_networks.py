@@ -39,7 +39,7 @@ def test_paper_sizes():
     # Counted by hand from the layer table: ResNet-18 trunks of 6 and 3 channels, keypoints, heads.
     library = SkillLibrary(config)
     assert [count(skill) for skill in library.skills] == [14_186_572] * 6 and count(library) == 6 * 14_186_572
-    assert count(MetaController(config, n_tasks=0)) == 11_997_758
+    assert count(MetaController(paper_config(decoder_sees_skill=False), n_tasks=0)) == 11_997_758
 
 
 def test_group_norm_replaces_every_batch_norm():
@@ -129,11 +129,11 @@ def test_meta_losses_learn_separable_skills():
     for _ in range(60):
         losses = meta.losses(images, task, skill, subgoal)
         optimizer.zero_grad()
-        (losses.skill_id + losses.subgoal + 1e-4 * losses.kl).mean().backward()
+        (losses.skill_id_loss + losses.subgoal_loss + 1e-4 * losses.kl_loss).mean().backward()
         optimizer.step()
     # A double softmax could not get below ln(1 + 1/e) = 0.31.
-    assert losses.skill_id.mean() < 0.05 and losses.correct.all()
-    assert (losses.kl > 0).all()
+    assert losses.skill_id_loss.mean() < 0.05 and losses.skill_id_accuracy.all()
+    assert (losses.kl_loss > 0).all()
 
 
 @pytest.mark.parametrize("norm", ["batch", "group"])
@@ -143,4 +143,4 @@ def test_resnets_train_on_a_single_sample(norm):
     library, meta = SkillLibrary(config).train(), MetaController(config, n_tasks=0).train()
     subgoal = library.encode_subgoals(skill, images[:, :3])
     assert library(skill, images, subgoal, torch.rand(1, 17))[0].shape == (1, 1, 4)
-    assert torch.isfinite(meta.losses(images[:, :3], skill, skill, subgoal.detach()).subgoal)
+    assert torch.isfinite(meta.losses(images[:, :3], skill, skill, subgoal.detach()).subgoal_loss)
