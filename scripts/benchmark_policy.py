@@ -101,7 +101,7 @@ def separate_networks(policy: BudsPolicy, batch: dict) -> Callable[[], None]:
                 actions, _ = skill(shifted[rows], subgoal + 0.1 * torch.randn_like(subgoal), proprio[rows])
                 finish((actions[:, 0] - batch[ACTION][rows]).square().sum(), optimizer)
         target = policy.skills.subgoal_targets(labels.skill, goals)
-        meta = policy.meta_controllers.losses(shifted[:, :channels], task, labels.skill, target)
+        meta, _ = policy.meta_controllers.losses(shifted[:, :channels], task, labels.skill, target)
         finish((meta.skill_id_loss + meta.subgoal_loss + 1e-4 * meta.kl_loss).mean(), optimizers[-1])
 
     return loop

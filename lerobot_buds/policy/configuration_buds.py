@@ -71,6 +71,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     image_feature: int = 64  # released code
     subgoal_dim: int = 32  # notes
     subgoal_noise: float = 0.1  # standard deviation, training only (notes)
+    imagined_subgoals: float = 0.0  # share of training frames whose skills get imagined subgoals (ours)
     head_widths: list[int] = field(default_factory=lambda: [300, 400])  # notes; multi-task: 300, 300, 400
     shared_trunk: bool = False  # one convolutional trunk for all skills (ours; paper: nothing shared)
     chunk_size: int = 1  # actions a skill predicts at once (paper: 1); overlapping ones are averaged
@@ -128,6 +129,10 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
             raise ConfigError("conv_channels is empty: the encoder needs at least one stage.")
         if self.schedule == "sequential" and self.skill_steps is None:
             raise ConfigError("schedule='sequential' needs skill_steps: how many of the steps are for the skills.")
+        if not 0 <= self.imagined_subgoals <= 1:
+            raise ConfigError(f"imagined_subgoals={self.imagined_subgoals} is a share: between 0 and 1.")
+        if self.imagined_subgoals and self.schedule == "sequential":
+            raise ConfigError("schedule='sequential' trains skills before anything is imagined: imagined_subgoals=0.")
         if self.skills == "flat" and self.skills_path is not None:
             raise ConfigError("skills='flat' has no meta controller to train on the skills of skills_path.")
 

@@ -58,6 +58,7 @@ class MetaController(nn.Module):
         feature += n_tasks
         skills = config.n_skills or 1
         self.n_tasks, self.latent = n_tasks, config.meta_latent
+        self.drawn_subgoals = config.drawn_subgoals
         self.told_skills = skills if config.decoder_sees_skill else 0
         self.posterior = make_mlp([feature + config.subgoal_dim, *config.meta_encoder_widths, 2 * self.latent])
         decoder_inputs = feature + self.told_skills + self.latent
@@ -94,17 +95,21 @@ class MetaController(nn.Module):
         subgoals: Tensor = self.decoder(torch.cat([feature, *told, latent], dim=1))
         return subgoals
 
-    def losses(self, image: Tensor, task: Tensor, skill: Tensor, subgoal: Tensor) -> MetaLosses:
+    def losses(self, image: Tensor, task: Tensor, skill: Tensor, subgoal: Tensor) -> tuple[MetaLosses, Tensor]:
         """Computes the terms of the loss.
 
-        The latent is drawn from the posterior in training and is its mean otherwise, so that a validation loss does
-        not depend on the generator.
+        Latents are drawn in training and are their means otherwise, so that a validation loss does not depend on the
+        generator.
 
         Args:
             image: ``(B, C, H, W)`` image in [0, 1].
             task: ``(B,)`` int64 numbers of the tasks.
             skill: ``(B,)`` int64 skill labels.
             subgoal: ``(B, subgoal_dim)`` encoded goal images, without gradient.
+
+        Returns:
+            The terms, and the subgoals imagined as in a rollout for the labelled skills, ``(B, subgoal_dim)`` without
+            gradient.
         """
         feature, logits = self.propose(image, task)
         mean, log_variance = self.posterior(torch.cat([feature, subgoal], dim=1)).float().chunk(2, dim=1)
@@ -113,8 +118,9 @@ class MetaController(nn.Module):
             latent = mean + torch.exp(0.5 * log_variance) * torch.randn_like(mean)
         decoded = self.imagine(feature, skill, latent)
         with torch.no_grad():
-            imagined = self.imagine(feature, skill, torch.randn_like(mean) if self.training else torch.zeros_like(mean))
-        return MetaLosses(
+            drawn = self.training and self.drawn_subgoals
+            imagined = self.imagine(feature, skill, torch.randn_like(mean) if drawn else torch.zeros_like(mean))
+        losses = MetaLosses(
             skill_id_loss=F.cross_entropy(logits, skill, reduction="none"),
             subgoal_loss=_squared_distance(decoded, subgoal),
             kl_loss=0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=1),
@@ -122,6 +128,7 @@ class MetaController(nn.Module):
             imagined_subgoal_loss=_squared_distance(imagined, subgoal),
             subgoal_spread=_squared_distance(subgoal, subgoal.mean(dim=0)),
         )
+        return losses, imagined
 
 
 def _squared_distance(one: Tensor, other: Tensor) -> Tensor:
@@ -157,13 +164,15 @@ class MetaControllers(nn.Module):
         )
         return subgoals
 
-    def losses(self, image: Tensor, task: Tensor, skill: Tensor, subgoal: Tensor) -> MetaLosses:
+    def losses(self, image: Tensor, task: Tensor, skill: Tensor, subgoal: Tensor) -> tuple[MetaLosses, Tensor]:
         """Computes the terms of the loss, every row by its task's meta controller, see `MetaController.losses`."""
 
         def compute(c: int, rows: Tensor | slice) -> list[Tensor]:
-            return list(vars(self._controller(c).losses(image[rows], task[rows], skill[rows], subgoal[rows])).values())
+            losses, imagined = self._controller(c).losses(image[rows], task[rows], skill[rows], subgoal[rows])
+            return [*vars(losses).values(), imagined]
 
-        return MetaLosses(*by_group(self._number(task), compute))
+        *losses, imagined = by_group(self._number(task), compute)
+        return MetaLosses(*losses), imagined
 
     def _number(self, task: Tensor) -> Tensor:
         return task if self.per_task else torch.zeros_like(task)

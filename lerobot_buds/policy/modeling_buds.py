@@ -132,20 +132,23 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         labels = self._label_table().lookup(batch["index"])
         if self.training:
             images = random_shift(images, self.config.crop_padding)
-        subgoal = target = images.new_zeros(len(images), 0)
+        subgoal = target = imagined = images.new_zeros(len(images), 0)
         loss = torch.zeros(len(images), device=images.device)
         terms = dict.fromkeys(self._terms(), loss)
-        if self._learns_skills or not self.training:
-            if self.meta_controllers is not None:
-                subgoal, target = self._encoded_goals(labels)
-            terms |= self._skill_terms(batch, labels, images, state, subgoal)
-            loss = loss + sum(terms[name] for name in ("skill_loss", "termination_loss") if name in terms)
+        learns_skills = self._learns_skills or not self.training
+        if learns_skills and self.meta_controllers is not None:
+            subgoal, target = self._encoded_goals(labels)
         if self.meta_controllers is not None and (self._learns_meta or not self.training):
             if not target.shape[1]:
                 target = self._kept_targets(batch["index"], labels)
-            meta = self.meta_controllers.losses(self._seen_by_meta(images), task, labels.skill, target)
+            meta, imagined = self.meta_controllers.losses(self._seen_by_meta(images), task, labels.skill, target)
             terms |= vars(meta)
             loss = loss + meta.skill_id_loss + meta.subgoal_loss + self.config.kl_weight * meta.kl_loss
+        if learns_skills:
+            if self.training:
+                subgoal = self._as_in_rollouts(subgoal, imagined)
+            terms |= self._skill_terms(batch, labels, images, state, subgoal)
+            loss = loss + sum(terms[name] for name in ("skill_loss", "termination_loss") if name in terms)
         means = torch.stack([term.detach().float().mean() for term in terms.values()]).tolist()
         return loss if reduction == "none" else loss.mean(), dict(zip(terms, means, strict=True))
 
@@ -158,8 +161,6 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self, batch: dict[str, Any], labels: Supervision, images: Tensor, state: Tensor, subgoal: Tensor
     ) -> dict[str, Tensor]:
         """Computes the skills' terms of the loss, ``(B,)`` each."""
-        if self.training:
-            subgoal = subgoal + self.config.subgoal_noise * torch.randn_like(subgoal)
         proprio = self.proprioception(state, labels.history)
         predicted, ending = self.skills(labels.skill, images, subgoal, proprio)
         wanted = batch[ACTION] if self.config.chunk_size > 1 else batch[ACTION][:, None]
@@ -172,6 +173,13 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             losses = F.binary_cross_entropy_with_logits(ending, labels.ending.to(ending), reduction="none")
             terms["termination_loss"] = weight * losses
         return terms
+
+    def _as_in_rollouts(self, subgoal: Tensor, imagined: Tensor) -> Tensor:
+        """Disturbs subgoals for training: some rows get what the meta controllers imagine, all get noise."""
+        if self.config.imagined_subgoals and imagined.shape[1]:
+            replaced = torch.rand(len(subgoal), 1, device=subgoal.device) < self.config.imagined_subgoals
+            subgoal = torch.where(replaced, imagined.to(subgoal), subgoal)
+        return subgoal + self.config.subgoal_noise * torch.randn_like(subgoal)
 
     def _encoded_goals(self, labels: Supervision) -> tuple[Tensor, Tensor]:
         """Encodes the goals of a batch for the skills, and for the meta controllers: without batch statistics."""

@@ -67,12 +67,12 @@ def one_process(run_script, capsys):
 def arguments(command, long_root, tmp_path):
     """Arguments of a run with a high learning rate whose skills draw no random numbers.
 
-    The latents of the meta controllers, which are drawn in training, have no switch.
+    The latents of the meta controllers, which are drawn in training, have no switch. At 1e-2 they already decide in
+    which step the skills are told apart.
     """
 
     def arguments(name, **settings):
-        quiet = {"policy.crop_padding": 0, "policy.subgoal_noise": 0, "policy.decoder_sees_skill": "false"}
-        quiet |= {"policy.optimizer_lr": 1e-2}
+        quiet = {"policy.crop_padding": 0, "policy.subgoal_noise": 0, "policy.optimizer_lr": 3e-3}
         return command(long_root, **quiet, output_dir=tmp_path / name, **settings)
 
     return arguments
@@ -88,10 +88,11 @@ def test_two_processes_follow_the_losses_of_one(arguments, one_process):
 
     # Nothing is drawn: the same but for the order of summation.
     np.testing.assert_allclose(two["skill_loss"], one["skill_loss"], rtol=0, atol=2e-3)
-    # Latents are drawn for 4 rows here and 8 there: the same within what another seed changes.
+    # Latents are drawn for 4 rows here and 8 there: the same within what another seed changes, and little of what was
+    # learned.
     early, late = one["loss"][:LAST].mean(), one["loss"][-LAST:].mean()
     noise = abs(other["loss"][-LAST:].mean() - late)
-    assert abs(two["loss"][-LAST:].mean() - late) < noise < 0.25 * (early - late)
+    assert abs(two["loss"][-LAST:].mean() - late) < min(noise, 0.25 * (early - late))
 
 
 def test_two_processes_resumed_repeat_the_unbroken_run(arguments, tmp_path):

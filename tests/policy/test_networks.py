@@ -127,7 +127,7 @@ def test_meta_losses_learn_separable_skills():
     images[skill == 1, :, 16:] = 1
     subgoal = torch.randn(2, 32)[skill]
     for _ in range(60):
-        losses = meta.losses(images, task, skill, subgoal)
+        losses, _ = meta.losses(images, task, skill, subgoal)
         optimizer.zero_grad()
         (losses.skill_id_loss + losses.subgoal_loss + 1e-4 * losses.kl_loss).mean().backward()
         optimizer.step()
@@ -143,4 +143,4 @@ def test_resnets_train_on_a_single_sample(norm):
     library, meta = SkillLibrary(config).train(), MetaController(config, n_tasks=0).train()
     subgoal = library.encode_subgoals(skill, images[:, :3])
     assert library(skill, images, subgoal, torch.rand(1, 17))[0].shape == (1, 1, 4)
-    assert torch.isfinite(meta.losses(images[:, :3], skill, skill, subgoal.detach()).subgoal_loss)
+    assert torch.isfinite(meta.losses(images[:, :3], skill, skill, subgoal.detach())[0].subgoal_loss)
