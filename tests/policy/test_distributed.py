@@ -1,10 +1,12 @@
 """Trains with LeRobot's own script in two processes on one machine, without a GPU."""
 
+import contextlib
 import os
 import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,8 @@ from safetensors.torch import load_file
 ROOT = Path(__file__).parents[2]
 STEPS = 36
 LAST = 12
+LONGEST_RUN_S = 500
+LEAVING_S = 20
 
 
 @pytest.fixture(scope="session")
@@ -37,19 +41,36 @@ def losses(log):
     return {name: np.array([step[name] for step in steps]) for name in steps[0]}
 
 
-def two_processes(*arguments):
-    """Runs the training script as a user would with ``torchrun``; returns what it logged."""
+@pytest.fixture
+def two_processes(tmp_path):
+    """Runs the training script as a user would with ``torchrun``; returns what it logged.
+
+    One run in a few never leaves after the end of its training (PyTorch 2.11, pytorch/pytorch#56297): freeing the
+    process group waits for gloo's thread, and that for the interpreter. Nothing is lost by then; torchrun is told to
+    stop.
+    """
+    log = tmp_path / "two_processes.log"
     launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc_per_node=2"]
-    done = subprocess.run(
-        [*launcher, "-m", "lerobot.scripts.lerobot_train", *arguments],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "ACCELERATE_USE_CPU": "true"},
-        capture_output=True,
-        text=True,
-        timeout=500,
-    )
-    assert done.returncode == 0, done.stderr[-5000:]
-    return done.stderr
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "ACCELERATE_USE_CPU": "true"}
+
+    def two_processes(*arguments):
+        command = [*launcher, "-m", "lerobot.scripts.lerobot_train", *arguments]
+        with log.open("w") as file:
+            process = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL, stderr=file)
+        started = time.monotonic()
+        try:
+            while process.poll() is None and "End of training" not in log.read_text():
+                assert time.monotonic() - started < LONGEST_RUN_S, log.read_text()[-5000:]
+                time.sleep(0.5)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=LEAVING_S)
+            assert process.returncode in (0, None), log.read_text()[-5000:]
+        finally:
+            process.terminate()
+            process.wait()
+        return log.read_text()
+
+    return two_processes
 
 
 @pytest.fixture
@@ -78,7 +99,7 @@ def arguments(command, long_root, tmp_path):
     return arguments
 
 
-def test_two_processes_follow_the_losses_of_one(arguments, one_process):
+def test_two_processes_follow_the_losses_of_one(arguments, one_process, two_processes):
     short = {"steps": STEPS, "save_checkpoint": "false"}
     one, other = (losses(one_process(*arguments(f"one{seed}", batch_size=8, seed=seed, **short))) for seed in (1, 2))
     log = two_processes(*arguments("two", batch_size=4, seed=1, **short))
@@ -95,7 +116,7 @@ def test_two_processes_follow_the_losses_of_one(arguments, one_process):
     assert abs(two["loss"][-LAST:].mean() - late) < min(noise, 0.25 * (early - late))
 
 
-def test_two_processes_resumed_repeat_the_unbroken_run(arguments, tmp_path):
+def test_two_processes_resumed_repeat_the_unbroken_run(arguments, two_processes, tmp_path):
     """The meta controllers' turn comes after the skills': no random number is drawn before.
 
     LeRobot restores torch's generator, but the loader that it then makes draws its own seed from it. So nothing that is
