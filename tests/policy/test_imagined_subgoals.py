@@ -39,7 +39,7 @@ def test_imagined_subgoals_follow_the_image(build, settings, follows):
         (losses.subgoal_loss + config.kl_weight * losses.kl_loss).mean().backward()
         optimizer.step()
     explained = 1 - float(losses.imagined_subgoal_loss.mean() / losses.subgoal_spread.mean())
-    assert (explained > 0.4) is follows, explained
+    assert (explained > 0.3) is follows, explained
 
 
 @pytest.mark.parametrize(("share", "learns"), [(0.0, True), (1.0, False)])
