@@ -91,7 +91,7 @@ def check_discovery(installation: Installation) -> Finding:
 
 def check_versions(installation: Installation) -> Finding:
     """Are LeRobot and the other required packages there, in versions that this package works with?"""
-    return _compare("versions", [r for r in installation.requirements if not _only_for_sim(r)], installation.versions)
+    return _compare("versions", [r for r in installation.requirements if _needed(r)], installation.versions)
 
 
 def check_simulator(installation: Installation) -> Finding:
@@ -99,7 +99,7 @@ def check_simulator(installation: Installation) -> Finding:
     if "robosuite" not in installation.versions:
         remedy = f"pip install '{DISTRIBUTION}[sim]' && pip install --no-deps {ROBOSUITE}"
         return Finding("simulator", "warning", "not installed: training works, environments do not", remedy)
-    wanted = [r for r in installation.requirements if _only_for_sim(r)]
+    wanted = [r for r in installation.requirements if _needed(r, "sim") and not _needed(r)]
     return _compare("simulator", [ROBOSUITE, *wanted], installation.versions)
 
 
@@ -222,9 +222,9 @@ def main() -> None:
     sys.exit(failed)
 
 
-def _only_for_sim(requirement: str) -> bool:
+def _needed(requirement: str, extra: str = "") -> bool:
     marker = Requirement(requirement).marker
-    return marker is not None and not marker.evaluate({"extra": ""})
+    return marker is None or marker.evaluate({"extra": extra})
 
 
 def _compare(name: str, wanted: Sequence[str], versions: Mapping[str, str]) -> Finding:

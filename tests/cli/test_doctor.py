@@ -43,7 +43,10 @@ def fail_to_render():
 
 SOUND = Installation(
     plugins=["torch", DISTRIBUTION],
-    requirements=["lerobot[training]==0.6.1", "numpy>=2.0", 'mujoco<3.10,>=3.6; extra == "sim"'],
+    requirements=[
+        *("lerobot[training]==0.6.1", "numpy>=2.0", 'mujoco<3.10,>=3.6; extra == "sim"'),
+        'ruptures>=1.1.10; extra == "cp"',  # not installed, and not missed
+    ],
     versions={"lerobot": "0.6.1", "numpy": "2.2.6", "mujoco": "3.9.0", "robosuite": "1.5.1"},
     opencv_owners=["opencv-python-headless"],
     free_bytes=100 * 2**30,
