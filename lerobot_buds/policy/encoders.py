@@ -16,6 +16,15 @@ GROUP_WIDTH = 16
 """Channels per group of group normalisation (Wu and He 2018)."""
 
 
+class Layers(nn.Sequential):
+    """Layers one after the other that can be compiled: ``Module.compile`` passes over what lies in PyTorch's code."""
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Runs all layers."""
+        maps: Tensor = super().forward(images)  # type: ignore[no-untyped-call]
+        return maps
+
+
 def make_mlp(sizes: Sequence[int]) -> nn.Sequential:
     """Builds linear layers with LeakyReLU(0.01) between them and none after the last.
 
@@ -64,7 +73,7 @@ def make_resnet_trunk(in_channels: int, norm: str, stages: int) -> Trunk:
         net.conv1 = nn.Conv2d(in_channels, net.conv1.out_channels, 7, stride=2, padding=3, bias=False)
         nn.init.kaiming_normal_(net.conv1.weight, mode="fan_out", nonlinearity="relu")
     kept = [net.layer1, net.layer2, net.layer3, net.layer4][:stages]
-    return nn.Sequential(net.conv1, net.bn1, net.relu, net.maxpool, *kept), 64 * 2 ** (stages - 1)
+    return Layers(net.conv1, net.bn1, net.relu, net.maxpool, *kept), 64 * 2 ** (stages - 1)
 
 
 def make_conv_trunk(in_channels: int, norm: str, channels: Sequence[int]) -> Trunk:
@@ -89,7 +98,7 @@ def make_conv_trunk(in_channels: int, norm: str, channels: Sequence[int]) -> Tru
             make_norm(norm)(width_out),
             nn.ReLU(inplace=True),
         ]
-    return nn.Sequential(*layers), widths[-1]
+    return Layers(*layers), widths[-1]
 
 
 class SpatialSoftmax(nn.Module):
@@ -114,7 +123,7 @@ class SpatialSoftmax(nn.Module):
         return torch.cat([x, y], dim=1)
 
 
-def make_keypoint_encoder(trunk: nn.Module, channels: int, keypoints: int, feature: int) -> nn.Sequential:
+def make_keypoint_encoder(trunk: nn.Module, channels: int, keypoints: int, feature: int) -> Layers:
     """Builds trunk, 1x1 convolution, spatial softmax and a linear layer (paper, section on skills).
 
     Args:
@@ -123,9 +132,9 @@ def make_keypoint_encoder(trunk: nn.Module, channels: int, keypoints: int, featu
         keypoints: Maps of the spatial softmax.
         feature: Width of the output ``(B, feature)``.
     """
-    return nn.Sequential(trunk, nn.Conv2d(channels, keypoints, 1), SpatialSoftmax(), nn.Linear(2 * keypoints, feature))
+    return Layers(trunk, nn.Conv2d(channels, keypoints, 1), SpatialSoftmax(), nn.Linear(2 * keypoints, feature))
 
 
-def make_pooled_encoder(trunk: nn.Module) -> nn.Sequential:
+def make_pooled_encoder(trunk: nn.Module) -> Layers:
     """Builds trunk and global average pooling: images to ``(B, channels)`` (released meta controller)."""
-    return nn.Sequential(trunk, nn.AdaptiveAvgPool2d(1), nn.Flatten())
+    return Layers(trunk, nn.AdaptiveAvgPool2d(1), nn.Flatten())

@@ -311,10 +311,14 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return scale_images(self._label_table().goal_images(frames, device), self.config.image_shape)
 
     def _compile_encoders(self) -> None:
-        encoders = {"image_encoder", "subgoal_encoder", "image_trunk", "goal_trunk"}
-        for name, module in self.named_modules():
-            if name.rpartition(".")[2] in encoders:
-                module.compile(dynamic=True)  # a skill's share of a batch changes from step to step
+        names = {"image_encoder", "subgoal_encoder", "image_trunk", "goal_trunk"}
+        encoders = [module for name, module in self.named_modules() if name.rpartition(".")[2] in names]
+        # All run the same line of code, and what is compiled too often (for gradients or not, for a single row, ...)
+        # falls back to what it was.
+        limit = torch.compiler.config.recompile_limit
+        torch.compiler.config.recompile_limit = max(limit, 4 * len(encoders))
+        for encoder in encoders:
+            encoder.compile(dynamic=True)  # a skill's share of a batch changes from step to step
 
     def _inputs(self, batch: dict[str, Any]) -> tuple[Tensor, Tensor, Tensor]:
         """Checks a batch; returns images ``(B, C, H, W)`` of network size, state ``(B, D)`` and tasks ``(B,)``."""

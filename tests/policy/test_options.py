@@ -101,6 +101,30 @@ def test_mixed_precision_gives_the_same_loss_about(build, batch, norm):
     assert losses[1] == pytest.approx(losses[0], rel=0.05, abs=0.05)
 
 
+def test_every_encoder_is_compiled_whole_and_computes_the_same(build, batch, monkeypatch):
+    layers = []
+
+    def backend(graph, inputs):  # the real one would take minutes
+        layers.append({str(node.target) for node in graph.graph.nodes if node.op == "call_function"})
+        return graph
+
+    compile_module = torch.nn.Module.compile
+    monkeypatch.setattr(torch.nn.Module, "compile", lambda self, **how: compile_module(self, backend=backend, **how))
+    torch.compiler.reset()
+    # The limit lies below the number of encoders, as PyTorch's does at the paper's sizes.
+    with torch.compiler.config.patch(recompile_limit=2, fail_on_recompile_limit_hit=True):
+        policy, compiled = (build(compile_model=value, crop_padding=0, subgoal_noise=0.0) for value in (False, True))
+        compiled.load_state_dict(policy.state_dict())
+        for training in (True, False):
+            metrics = []
+            for each in (policy, compiled):
+                torch.manual_seed(0)
+                metrics.append(each.train(training)(batch(each))[1])
+            assert metrics[1] == pytest.approx(metrics[0])
+    convolved = [names for names in layers if any("conv2d" in name for name in names)]
+    assert len(convolved) == len(layers) == 2 * policy.config.n_skills + 1  # the meta controller's is one more
+
+
 def test_a_shared_trunk_is_run_once_for_all_skills(build, batch):
     policy = build(shared_trunk=True)
     runs = []
