@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
+from itertools import cycle, islice
 from tempfile import TemporaryDirectory
 
 import draccus
@@ -40,32 +40,42 @@ class BenchmarkConfig:
     environments: int = 10
     device: str = "cpu"
     threads: int = 2
+    workers: int = 0
+    """Processes that load; 0 for this one."""
+    amp: bool = False
+    """Trains in bfloat16, as ``lerobot-train`` does with ``--policy.use_amp=true``; the plain loop stays in float32."""
+    compiled: bool = False
+    """Compiles the encoders of `buds`."""
     only: str = ""
     """Part of the name of what shall be timed alone."""
 
 
 def batches(dataset: LeRobotDataset, config: BenchmarkConfig) -> Iterator[dict]:
-    """Loads shuffled batches as ``lerobot-train`` does, in this process."""
+    """Loads shuffled batches as ``lerobot-train`` does."""
     while True:
-        yield from torch.utils.data.DataLoader(dataset, config.batch_size, shuffle=True, drop_last=True)
+        yield from torch.utils.data.DataLoader(
+            dataset, config.batch_size, shuffle=True, drop_last=True, num_workers=config.workers
+        )
 
 
 def median_seconds(work: Callable[[], object], repeats: int) -> float:
-    """Times some work; the first run, which warms up, does not count."""
+    """Times some work; the first runs, a quarter as many, warm up and do not count."""
     seconds = []
-    for _ in range(repeats + 1):
+    warm_up = max(1, repeats // 4)
+    for _ in range(warm_up + repeats):
         began = time.perf_counter()
         work()
         if torch.cuda.is_available():
             torch.cuda.synchronize()
         seconds.append(time.perf_counter() - began)
-    return float(np.median(seconds[1:]))
+    return float(np.median(seconds[warm_up:]))
 
 
-def update(policy: PreTrainedPolicy, optimizer: torch.optim.Optimizer, batch: dict) -> None:
+def update(policy: PreTrainedPolicy, optimizer: torch.optim.Optimizer, amp: bool, batch: dict) -> None:
     """Does what ``lerobot-train`` does with a batch."""
     policy.train()
-    loss, _ = policy.forward(batch)
+    with torch.autocast(policy.config.device, enabled=amp, dtype=torch.bfloat16):
+        loss, _ = policy.forward(batch)
     loss.backward()
     torch.nn.utils.clip_grad_norm_(policy.parameters(), 10.0)
     optimizer.step()
@@ -73,16 +83,14 @@ def update(policy: PreTrainedPolicy, optimizer: torch.optim.Optimizer, batch: di
     loss.item()
 
 
-def separate_networks(policy: BudsPolicy, batch: dict) -> Callable[[], None]:
+def separate_networks(policy: BudsPolicy) -> Callable[[dict], None]:
     """Makes the plain loop: every skill and the meta controller with an optimiser of its own, one after the other.
 
-    It gets images, subgoals and labels ready made. As in the original, networks take images in the usual order of
-    memory, losses are read after every network, and the meta controller's targets come from finished encoders.
+    As in the original, networks take images in the usual order of memory, losses are read after every network, and the
+    meta controller's targets come from finished encoders.
     """
-    images, state, task = policy._inputs(batch)
-    labels = policy._label_table().lookup(batch["index"])
-    goals, images = policy._goal_images(labels.subgoal, images.device).contiguous(), images.contiguous()
-    proprio, channels = policy.proprioception(state, labels.history), policy.config.meta_channels
+    policy.train()
+    channels = policy.config.meta_channels
     parts = [*policy.skills.skills, *policy.meta_controllers.controllers]
     optimizers = [torch.optim.Adam(part.parameters(), lr=1e-4) for part in parts]
 
@@ -92,7 +100,11 @@ def separate_networks(policy: BudsPolicy, batch: dict) -> Callable[[], None]:
         optimizer.zero_grad()
         loss.item()
 
-    def loop() -> None:
+    def loop(batch: dict) -> None:
+        images, state, task = policy._inputs(batch)
+        labels = policy._label_table().lookup(batch["index"])
+        goals = policy._goal_images(labels.subgoal, images.device).contiguous()
+        proprio = policy.proprioception(state, labels.history)
         shifted = random_shift(images, 4).contiguous()
         for k, (skill, optimizer) in enumerate(zip(policy.skills.skills, optimizers, strict=False)):
             rows = (labels.skill == k).nonzero()[:, 0]
@@ -119,27 +131,37 @@ def time_training(config: BenchmarkConfig) -> None:
     dataset = LeRobotDataset("local/benchmark", root=config.root)
     stream = batches(dataset, config)
     loading = median_seconds(partial(next, stream), config.steps)
-    print(f"loader: {config.batch_size / loading:.0f} frames/s in one process")
-    batch = _moved(next(stream), torch.device(config.device))
+    print(f"loader: {config.batch_size / loading:.0f} frames/s in {max(1, config.workers)} process(es)")
+    # A skill's share of a batch differs from batch to batch, which can matter on a GPU.
+    loaded = [_moved(next(stream), torch.device(config.device)) for _ in range(min(config.steps, 10))]
+    ours = BudsConfig(device=config.device, compile_model=config.compiled)
     works: dict[str, Callable[[], Callable[[], None]]] = {
-        "buds, joint": lambda: partial(update, *built(BudsConfig(device=config.device), dataset), batch),
-        "plain loop over separate networks": lambda: separate_networks(
-            built(BudsConfig(device=config.device), dataset)[0], batch
-        ),
-        "buds, meta controller alone": lambda: _meta_controller_alone(config, dataset, batch),
+        "buds, joint": lambda: _on(loaded, partial(update, *built(ours, dataset), config.amp)),
+        "plain loop over separate networks": lambda: _on(loaded, separate_networks(built(ours, dataset)[0])),
+        "buds, meta controller alone": lambda: _on(loaded, _meta_controller_alone(config, dataset)),
         "ACT with its defaults": lambda: _act(config, dataset),
     }
     for name, build in works.items():
         if config.only in name:
+            torch.backends.cudnn.benchmark = torch.backends.cuda.matmul.allow_tf32 = True  # as lerobot-train sets them
+            if config.device == "cuda":
+                torch.cuda.reset_peak_memory_stats()
             seconds = median_seconds(build(), config.steps)
-            print(f"update, {name}: {seconds:.3f} s, {config.batch_size / seconds:.1f} frames/s", flush=True)
+            memory = f", {torch.cuda.max_memory_allocated() / 2**30:.1f} GiB" if config.device == "cuda" else ""
+            print(f"update, {name}: {seconds:.3f} s, {config.batch_size / seconds:.1f} frames/s{memory}", flush=True)
 
 
-def _meta_controller_alone(config: BenchmarkConfig, dataset: LeRobotDataset, batch: dict) -> Callable[[], None]:
+def _on(loaded: list[dict], work: Callable[[dict], None]) -> Callable[[], None]:
+    """Does some work on one batch after the other, for ever."""
+    stream = cycle(loaded)
+    return lambda: work(next(stream))
+
+
+def _meta_controller_alone(config: BenchmarkConfig, dataset: LeRobotDataset) -> Callable[[dict], None]:
     """Skills of a library are frozen, and their subgoal vectors are kept."""
     with TemporaryDirectory() as library:
         built(BudsConfig(device=config.device), dataset)[0].save_pretrained(library)
-        return partial(update, *built(BudsConfig(device=config.device, skills_path=library), dataset), batch)
+        return partial(update, *built(BudsConfig(device=config.device, skills_path=library), dataset), config.amp)
 
 
 def _act(config: BenchmarkConfig, dataset: LeRobotDataset) -> Callable[[], None]:
@@ -148,7 +170,7 @@ def _act(config: BenchmarkConfig, dataset: LeRobotDataset) -> Callable[[], None]
     # Its weights for ImageNet cannot be fetched everywhere; they do not change the time.
     policy, optimizer = built(ACTConfig(device=config.device, pretrained_backbone_weights=None), dataset)
     prepare, _ = make_pre_post_processors(policy.config, dataset_stats=dataset.meta.stats)
-    return partial(update, policy, optimizer, prepare(next(batches(chunks, config))))
+    return partial(update, policy, optimizer, config.amp, prepare(next(batches(chunks, config))))
 
 
 def _moved(batch: dict, device: torch.device) -> dict:
