@@ -27,6 +27,7 @@ from lerobot_buds.policy.images import random_shift
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
 CHUNK = 100  # ACT's default
+WARM_UP = 20  # steps of acting that do not count
 
 
 @dataclass
@@ -180,20 +181,20 @@ def _moved(batch: dict, device: torch.device) -> dict:
 def time_acting(config: BenchmarkConfig) -> None:
     """Prints how long `select_action` takes, for one environment and for several at once."""
     dataset = LeRobotDataset("local/benchmark", root=config.root)
-    policy, _ = built(BudsConfig(device=config.device), dataset)
+    policy, _ = built(BudsConfig(device=config.device, compile_model=config.compiled), dataset)
     policy.eval()
     frames = list(islice((_moved(dataset[i], torch.device(config.device)) for i in range(50)), 50))
-    for environments, steps in ((1, config.actions), (config.environments, config.actions // 10)):
+    for environments, steps in ((1, config.actions), (config.environments, max(1, config.actions // 10))):
         seconds = []
         policy.reset()
-        for step in range(steps):
+        for step in range(WARM_UP + steps):
             frame = frames[step % len(frames)]
             batch = {k: v.expand(environments, *v.shape) for k, v in frame.items() if k in policy.config.input_features}
             began = time.perf_counter()
             policy.select_action({**batch, "task": [frame["task"]] * environments}).cpu()
             seconds.append(time.perf_counter() - began)
-        p50, p99 = 1e3 * np.percentile(seconds, [50, 99]) / environments
-        mean = 1e3 * np.mean(seconds) / environments
+        p50, p99 = 1e3 * np.percentile(seconds[WARM_UP:], [50, 99]) / environments
+        mean = 1e3 * np.mean(seconds[WARM_UP:]) / environments
         print(
             f"acting, {environments} at once: p50 {p50:.1f} ms, p99 {p99:.1f} ms, mean {mean:.1f} ms each", flush=True
         )
