@@ -133,6 +133,11 @@ class Guide:
 
 
 def _check_labels(root: Path, record: "SegmentationRecord", config: "BudsConfig") -> None:
+    if config.skills != "segments":
+        raise CheckpointError(
+            f"The policy was trained with skills={config.skills!r}, so labels say nothing about it: leave "
+            "dataset_root out."
+        )
     if config.segmentation is not None and config.segmentation not in record.lineage:
         raise CheckpointError(
             f"The policy was trained on other labels than those of {root}; its skills mean something else. Give the "

@@ -113,6 +113,7 @@ def test_other_labels_and_other_tasks_are_refused(segmented: Path, policy: Check
     for change, message in (
         ({"segmentation": "0" * 64}, "other labels"),
         ({"n_skills": 9, "segmentation": None}, "skills=9"),
+        ({"skills": "flat", "n_skills": 1, "segmentation": None}, "leave dataset_root out"),
         ({"fps": 30}, "fps=30"),
     ):
         with pytest.raises(CheckpointError, match=message):
