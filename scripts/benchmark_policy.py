@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import cycle, islice
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import draccus
 import numpy as np
@@ -60,16 +61,20 @@ def batches(dataset: LeRobotDataset, config: BenchmarkConfig) -> Iterator[dict]:
 
 
 def median_seconds(work: Callable[[], object], repeats: int) -> float:
-    """Times some work; the first runs, a quarter as many, warm up and do not count."""
+    """Times some work; the first runs, as many as `warm_ups` says, do not count."""
     seconds = []
-    warm_up = max(1, repeats // 4)
-    for _ in range(warm_up + repeats):
+    for _ in range(warm_ups(repeats) + repeats):
         began = time.perf_counter()
         work()
         if torch.cuda.is_available():
             torch.cuda.synchronize()
         seconds.append(time.perf_counter() - began)
-    return float(np.median(seconds[warm_up:]))
+    return float(np.median(seconds[warm_ups(repeats) :]))
+
+
+def warm_ups(repeats: int) -> int:
+    """Counts the runs that go before those that are timed."""
+    return max(1, repeats // 4)
 
 
 def update(policy: PreTrainedPolicy, optimizer: torch.optim.Optimizer, amp: bool, batch: dict) -> None:
@@ -90,7 +95,6 @@ def separate_networks(policy: BudsPolicy) -> Callable[[dict], None]:
     As in the original, networks take images in the usual order of memory, losses are read after every network, and the
     meta controller's targets come from finished encoders.
     """
-    policy.train()
     channels = policy.config.meta_channels
     parts = [*policy.skills.skills, *policy.meta_controllers.controllers]
     optimizers = [torch.optim.Adam(part.parameters(), lr=1e-4) for part in parts]
@@ -133,12 +137,14 @@ def time_training(config: BenchmarkConfig) -> None:
     stream = batches(dataset, config)
     loading = median_seconds(partial(next, stream), config.steps)
     print(f"loader: {config.batch_size / loading:.0f} frames/s in {max(1, config.workers)} process(es)")
-    # A skill's share of a batch differs from batch to batch, which can matter on a GPU.
-    loaded = [_moved(next(stream), torch.device(config.device)) for _ in range(min(config.steps, 10))]
-    ours = BudsConfig(device=config.device, compile_model=config.compiled)
+    # A skill's share of a batch differs from batch to batch, which can matter on a GPU. All are met while warming up:
+    # subgoal vectors of frozen skills are computed when a frame is first met.
+    loaded = [_moved(next(stream), torch.device(config.device)) for _ in range(warm_ups(config.steps))]
     works: dict[str, Callable[[], Callable[[], None]]] = {
-        "buds, joint": lambda: _on(loaded, partial(update, *built(ours, dataset), config.amp)),
-        "plain loop over separate networks": lambda: _on(loaded, separate_networks(built(ours, dataset)[0])),
+        "buds, joint": lambda: _on(
+            loaded, partial(update, *_buds(config, dataset, compile_model=config.compiled), config.amp)
+        ),
+        "plain loop over separate networks": lambda: _on(loaded, separate_networks(_buds(config, dataset)[0])),
         "buds, meta controller alone": lambda: _on(loaded, _meta_controller_alone(config, dataset)),
         "ACT with its defaults": lambda: _act(config, dataset),
     }
@@ -152,6 +158,11 @@ def time_training(config: BenchmarkConfig) -> None:
             print(f"update, {name}: {seconds:.3f} s, {config.batch_size / seconds:.1f} frames/s{memory}", flush=True)
 
 
+def _buds(config: BenchmarkConfig, dataset: LeRobotDataset, **options: Any) -> tuple[BudsPolicy, torch.optim.Optimizer]:
+    """Builds the policy at the paper's sizes, and its optimiser."""
+    return built(BudsConfig(device=config.device, **options), dataset)
+
+
 def _on(loaded: list[dict], work: Callable[[dict], None]) -> Callable[[], None]:
     """Does some work on one batch after the other, for ever."""
     stream = cycle(loaded)
@@ -161,8 +172,8 @@ def _on(loaded: list[dict], work: Callable[[dict], None]) -> Callable[[], None]:
 def _meta_controller_alone(config: BenchmarkConfig, dataset: LeRobotDataset) -> Callable[[dict], None]:
     """Skills of a library are frozen, and their subgoal vectors are kept."""
     with TemporaryDirectory() as library:
-        built(BudsConfig(device=config.device), dataset)[0].save_pretrained(library)
-        return partial(update, *built(BudsConfig(device=config.device, skills_path=library), dataset), config.amp)
+        _buds(config, dataset)[0].save_pretrained(library)
+        return partial(update, *_buds(config, dataset, skills_path=library), config.amp)
 
 
 def _act(config: BenchmarkConfig, dataset: LeRobotDataset) -> Callable[[], None]:
@@ -181,7 +192,7 @@ def _moved(batch: dict, device: torch.device) -> dict:
 def time_acting(config: BenchmarkConfig) -> None:
     """Prints how long `select_action` takes, for one environment and for several at once."""
     dataset = LeRobotDataset("local/benchmark", root=config.root)
-    policy, _ = built(BudsConfig(device=config.device, compile_model=config.compiled), dataset)
+    policy, _ = _buds(config, dataset, compile_model=config.compiled)
     policy.eval()
     frames = list(islice((_moved(dataset[i], torch.device(config.device)) for i in range(50)), 50))
     for environments, steps in ((1, config.actions), (config.environments, max(1, config.actions // 10))):
