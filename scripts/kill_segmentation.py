@@ -64,7 +64,7 @@ def record(config: KillConfig, root: Path) -> None:
     import numpy as np
 
     from lerobot_buds.core import ACTION, STATE
-    from lerobot_buds.demos.writing import camera_feature, create_dataset, vector_feature, write_episode
+    from lerobot_buds.data.writing import camera_feature, create_dataset, vector_feature, write_episode
 
     size, rng = config.image_size, np.random.default_rng(0)
     features = {camera: camera_feature((size, size, 3), video=True) for camera in CAMERAS}

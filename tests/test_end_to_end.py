@@ -20,7 +20,7 @@ from lerobot_buds.core import (
     read_json,
     sha256_of_file,
 )
-from lerobot_buds.demos import DatasetFiles
+from lerobot_buds.data import DatasetFiles
 from lerobot_buds.envs import TASKS
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 

@@ -15,7 +15,7 @@ from lerobot_buds.core import (
     select_dims,
     write_json,
 )
-from lerobot_buds.demos import DatasetFiles, check_demonstrations, dimension_names, only_writer, read_table
+from lerobot_buds.data import DatasetFiles, check_demonstrations, dimension_names, only_writer, read_table
 from lerobot_buds.evaluation import (
     METHODS,
     Demonstrations,

@@ -10,7 +10,7 @@ from lerobot.envs import EnvConfig
 from tqdm import tqdm
 
 from lerobot_buds.core import ConfigError, DatasetError, near_names, remove_leftovers
-from lerobot_buds.demos import only_writer
+from lerobot_buds.data import only_writer
 from lerobot_buds.envs import EpisodeVectorEnv, Task, tasks_named
 from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
 from lerobot_buds.evaluation import (

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from lerobot_buds.core import ACTION, STATE, TRUE_STAGE, ConfigError, IntArray, frames_of_seconds, remove_leftovers
-from lerobot_buds.demos import DatasetFiles, check_demonstrations, only_writer, read_table
+from lerobot_buds.data import DatasetFiles, check_demonstrations, only_writer, read_table
 from lerobot_buds.evaluation import agreement
 from lerobot_buds.representation import (
     Representation,

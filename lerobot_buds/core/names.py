@@ -18,6 +18,9 @@ IMAGE_PREFIX = "observation.images."
 WORKSPACE_CAMERA = "observation.images.agentview"
 EYE_IN_HAND_CAMERA = "observation.images.eye_in_hand"
 
+RENDER_PROFILES = ("fast", "fastest", "full")
+"""How our simulator can draw. Observations tell by a number, the place in this list, so it only ever grows."""
+
 RECORD_DIR = "meta/buds"
 """Folder of this package's own records inside a dataset root; below ``meta/`` so that it travels to the Hub."""
 

@@ -1,26 +1,5 @@
-"""Demonstrations: scripted demonstrators, recording, reading and checking LeRobotDatasets."""
+"""Demonstrations: scripted demonstrators, recording them, and importing those of other files."""
 
-from .checks import check_demonstrations, dimension_names, require_finite, require_videos, require_whole
-from .collection import read_collection
-from .frames import cached_frames, frame_size, frames_key
 from .pictures import draw_contact_sheet
-from .tables import DatasetFiles, FrameTable, read_table
-from .writing import make_once, only_writer
 
-__all__ = [
-    "DatasetFiles",
-    "FrameTable",
-    "cached_frames",
-    "check_demonstrations",
-    "dimension_names",
-    "draw_contact_sheet",
-    "frame_size",
-    "frames_key",
-    "make_once",
-    "only_writer",
-    "read_collection",
-    "read_table",
-    "require_finite",
-    "require_videos",
-    "require_whole",
-]
+__all__ = ["draw_contact_sheet"]

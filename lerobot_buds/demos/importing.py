@@ -25,13 +25,20 @@ from lerobot_buds.core import (
     staged_directory,
     write_json,
 )
+from lerobot_buds.data.checks import check_demonstrations
+from lerobot_buds.data.collection import RECORD_VERSION
+from lerobot_buds.data.tables import FPS_RANGE, DatasetFiles
+from lerobot_buds.data.writing import (
+    camera_feature,
+    create_dataset,
+    only_writer,
+    sort_stats,
+    vector_feature,
+    write_episode,
+)
 
-from .checks import check_demonstrations
-from .collection import RECORD_VERSION
 from .hdf5 import Demonstrations, open_demonstrations
 from .hdf5_layouts import Source
-from .tables import FPS_RANGE, DatasetFiles
-from .writing import camera_feature, create_dataset, only_writer, sort_stats, vector_feature, write_episode
 
 
 @dataclass(frozen=True)

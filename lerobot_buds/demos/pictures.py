@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_buds.core import IMAGE_PREFIX, TRUE_STAGE, BudsError, write_atomically
+from lerobot_buds.data.frames import cached_frames
+from lerobot_buds.data.tables import DatasetFiles, read_table
 
 from .attempts import Attempt
-from .frames import cached_frames
-from .tables import DatasetFiles, read_table
 
 
 def draw_contact_sheet(

@@ -41,13 +41,13 @@ from lerobot_buds.core import (
     write_atomically,
     write_json,
 )
+from lerobot_buds.data.collection import RECORD_VERSION
+from lerobot_buds.data.writing import camera_feature, create_dataset, sort_stats, vector_feature, write_episode
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, Task, tasks_named
 
 from .attempts import Attempt, attempt_in_worker
 from .card import write_card
-from .collection import RECORD_VERSION
 from .pictures import draw_contact_sheet
-from .writing import camera_feature, create_dataset, sort_stats, vector_feature, write_episode
 
 logger = logging.getLogger(__name__)
 

@@ -11,10 +11,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_buds.core import ConfigError, SimulatorError
+from lerobot_buds.core import RENDER_PROFILES, ConfigError, SimulatorError
 
 from .loading import open_renderer, open_simulation
-from .rendering import PROFILES, profile_named
+from .rendering import profile_named
 from .tasks import STAGE_FACTS, tasks_named
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class EnvSettings:
         task: A task's full name.
         max_steps: Episode length (control steps); None for the task's own.
         image_size: Height and width of both cameras (pixels).
-        render_profile: A key of `rendering.PROFILES`.
+        render_profile: One of `RENDER_PROFILES`.
         draws: Draws the cameras; without, images are black and cost nothing, for surveys of states alone.
         released: Takes the goal and the workspace to the letter of the original's released code.
     """
@@ -105,7 +105,7 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
             {
                 "pixels": gym.spaces.Dict(dict.fromkeys(CAMERAS, image)),
                 "agent_pos": gym.spaces.Box(-np.inf, np.inf, (len(STATE_NAMES),), np.float32),
-                "render_profile": gym.spaces.Box(0, len(PROFILES), (1,), np.float32),
+                "render_profile": gym.spaces.Box(0, len(RENDER_PROFILES), (1,), np.float32),
                 "control_rate": gym.spaces.Box(0, np.inf, (1,), np.float32),
             }
         )
@@ -211,6 +211,6 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         return {
             "pixels": self._draw_all() if self.settings.draws else self._black,
             "agent_pos": np.concatenate([state.arm, state.fingers, state.hand]).astype(np.float32),
-            "render_profile": np.array([list(PROFILES).index(self.settings.render_profile)], dtype=np.float32),
+            "render_profile": np.array([RENDER_PROFILES.index(self.settings.render_profile)], dtype=np.float32),
             "control_rate": np.array([FPS], dtype=np.float32),
         }

@@ -52,8 +52,8 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
     from lerobot.configs import PreTrainedConfig
     from lerobot.policies import make_policy, make_pre_post_processors
 
+    from lerobot_buds.data import download
     from lerobot_buds.policy.settling import check_environment, task_number  # registers the policy with LeRobot, too
-    from lerobot_buds.representation import download
 
     folder = Path(name) if Path(name).is_dir() else download(name, ["*.json", "*.safetensors"])
     _check_files(folder)

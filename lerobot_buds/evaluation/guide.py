@@ -76,7 +76,7 @@ class Guide:
             CheckpointError: The policy was trained on other labels, or at another frame rate.
             DatasetError: It is damaged or incomplete, or has no demonstration of the task.
         """
-        from lerobot_buds.demos import DatasetFiles, cached_frames
+        from lerobot_buds.data import DatasetFiles, cached_frames
         from lerobot_buds.representation import encode_dataset
         from lerobot_buds.segmentation import SkillModel, load_labels
 
@@ -150,7 +150,7 @@ def _check_labels(root: Path, record: "SegmentationRecord", config: "BudsConfig"
 
 def _demonstrations_of(root: Path, task: Task) -> tuple[IntArray, IntArray]:
     """Finds the first frames, and one past the last ones, of the demonstrations of a task, ``(E,)`` each."""
-    from lerobot_buds.demos import DatasetFiles
+    from lerobot_buds.data import DatasetFiles
 
     episodes = [e for e in DatasetFiles(root).episodes if task.description in e["tasks"]]
     if not episodes:
@@ -161,7 +161,7 @@ def _demonstrations_of(root: Path, task: Task) -> tuple[IntArray, IntArray]:
 
 def _stages(root: Path, task: Task) -> IntArray:
     """Reads the stage of every frame by its number in the task; the dataset counts the stages of all its tasks."""
-    from lerobot_buds.demos import read_collection, read_table
+    from lerobot_buds.data import read_collection, read_table
 
     names = read_collection(root).get("stages", [])
     if not set(task.stages) <= set(names):

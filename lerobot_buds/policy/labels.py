@@ -21,7 +21,7 @@ from lerobot_buds.core import (
     segments_of,
     subgoals_of,
 )
-from lerobot_buds.demos import cached_frames, read_table
+from lerobot_buds.data import cached_frames, read_table
 from lerobot_buds.segmentation import load_labels
 
 from .configuration_buds import BudsConfig

@@ -9,7 +9,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from lerobot_buds.core import CheckpointError
-from lerobot_buds.representation import download
+from lerobot_buds.data import download
 
 from .configuration_buds import LIBRARY_FIELDS, BudsConfig
 

@@ -8,14 +8,14 @@ from typing import Any
 from lerobot.utils.feature_utils import dataset_to_policy_features
 
 from lerobot_buds.core import (
+    RENDER_PROFILES,
     STATE,
     CheckpointError,
     ConfigError,
     near_names,
     select_dims,
 )
-from lerobot_buds.demos import read_collection
-from lerobot_buds.envs import PROFILES
+from lerobot_buds.data import read_collection
 from lerobot_buds.segmentation import load_labels
 
 from .configuration_buds import PAPER_FPS, BudsConfig
@@ -143,7 +143,7 @@ def check_observation(config: BudsConfig, observation: Mapping[str, Any]) -> Non
     check_environment(
         config,
         None if rate is None else float(rate.flatten()[0]),
-        None if profile is None else list(PROFILES)[int(profile.flatten()[0])],
+        None if profile is None else RENDER_PROFILES[int(profile.flatten()[0])],
     )
 
 

@@ -2,7 +2,6 @@
 
 from .configuration import RepresentationConfig
 from .encoding import encode_dataset, encode_observations
-from .hub import download
 from .inputs import Modalities
 from .pictures import draw_reconstructions
 from .trained import REPRESENTATION_FILES, Representation
@@ -13,7 +12,6 @@ __all__ = [
     "Modalities",
     "Representation",
     "RepresentationConfig",
-    "download",
     "draw_reconstructions",
     "encode_dataset",
     "encode_observations",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from lerobot_buds.core import STATE, CheckpointError, DatasetError, FloatArray, sha256_of_json
-from lerobot_buds.demos import make_once
+from lerobot_buds.data import make_once
 
 from .inputs import DatasetInputs, network_images
 from .network import PROPRIOCEPTION

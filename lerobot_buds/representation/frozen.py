@@ -20,9 +20,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lerobot_buds.core import CheckpointError, ConfigError, FloatArray, near_names
+from lerobot_buds.data import download
 
 from .configuration import RepresentationConfig
-from .hub import download
 from .network import PROPRIOCEPTION
 
 PUBLISHED_FILE = "model.safetensors"  # as every repository of timm's has it

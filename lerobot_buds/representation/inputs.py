@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from lerobot_buds.core import IMAGE_PREFIX, STATE, CheckpointError, DatasetError, IntArray, select_dims, sha256_of_json
-from lerobot_buds.demos import (
+from lerobot_buds.data import (
     DatasetFiles,
     cached_frames,
     dimension_names,

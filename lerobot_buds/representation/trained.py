@@ -23,11 +23,11 @@ from lerobot_buds.core import (
     write_atomically,
     write_json,
 )
+from lerobot_buds.data import download, upload
 
 from .card import CARD_FILE, write_card
 from .configuration import RepresentationConfig
 from .frozen import FrozenFeatures
-from .hub import download, upload
 from .inputs import Modalities
 from .network import FusionNetwork
 from .reports import Report

@@ -87,7 +87,8 @@ class SkillModel:
             SegmentationError: The dataset holds no skills to label others with.
             CheckpointError: The repository cannot be had, or the representation in it is damaged.
         """
-        from lerobot_buds.representation import REPRESENTATION_FILES, Representation, download
+        from lerobot_buds.data import download
+        from lerobot_buds.representation import REPRESENTATION_FILES, Representation
 
         root = Path(name)
         if not root.is_dir():
@@ -166,7 +167,7 @@ def _root(dataset: "LeRobotDataset | Path") -> Path:
 
 
 def _encoded(dataset: "LeRobotDataset | Path", representation: "Representation") -> tuple[list[FloatArray], int]:
-    from lerobot_buds.demos import DatasetFiles
+    from lerobot_buds.data import DatasetFiles
     from lerobot_buds.representation import encode_dataset
 
     root = _root(dataset)

@@ -288,7 +288,7 @@ def load_labels(root: Path) -> tuple[SegmentationRecord, IntArray, IntArray]:
         SegmentationError: The dataset is not segmented, or labels and dataset are out of step.
         DatasetError: The dataset is damaged, or lacks the label columns.
     """
-    from lerobot_buds.demos import read_table  # imports LeRobot, hence torch
+    from lerobot_buds.data import read_table  # imports LeRobot, hence torch
 
     record = SegmentationRecord.read(root)
     table = read_table(root, [SKILL_ID, SUBGOAL_INDEX])

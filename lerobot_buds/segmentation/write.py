@@ -97,7 +97,7 @@ def write_segmented_dataset(
 @contextmanager
 def _reserved(source_root: Path, target_root: Path) -> Iterator[None]:
     """Keeps a target that can be written for this process alone; says what a failure to write means."""
-    from lerobot_buds.demos import DatasetFiles, only_writer
+    from lerobot_buds.data import DatasetFiles, only_writer
 
     labelled = [name for name in (SKILL_ID, SUBGOAL_INDEX) if name in DatasetFiles(source_root).features]
     if labelled:
@@ -123,7 +123,7 @@ def _reserved(source_root: Path, target_root: Path) -> Iterator[None]:
 
 
 def _check_source(root: Path, record: SegmentationRecord) -> None:
-    from lerobot_buds.demos import DatasetFiles, read_table, require_videos, require_whole
+    from lerobot_buds.data import DatasetFiles, read_table, require_videos, require_whole
 
     table = read_table(root, [])
     lengths = tuple((table.ends - table.starts).tolist())

@@ -23,7 +23,7 @@ from lerobot_buds.core import (
     sha256_of_file,
     subgoals_of,
 )
-from lerobot_buds.demos import read_table
+from lerobot_buds.data import read_table
 from lerobot_buds.representation import RepresentationConfig
 from lerobot_buds.segmentation import DiscoveryConfig
 

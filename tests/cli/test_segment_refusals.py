@@ -11,7 +11,7 @@ import pytest
 
 from lerobot_buds.cli.segment import segment
 from lerobot_buds.core import BudsError, ConfigError, DatasetError, SegmentationError, StorageError
-from lerobot_buds.demos import only_writer
+from lerobot_buds.data import only_writer
 from lerobot_buds.segmentation import load_labels
 
 

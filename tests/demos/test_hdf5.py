@@ -11,7 +11,8 @@ from lerobot.datasets import LeRobotDataset
 
 from lerobot_buds.cli.import_hdf5 import main
 from lerobot_buds.core import ConfigError, DatasetError, read_json, sha256_of_file
-from lerobot_buds.demos import cached_frames, importing, read_table
+from lerobot_buds.data import cached_frames, read_table
+from lerobot_buds.demos import importing
 from lerobot_buds.demos.hdf5 import open_demonstrations
 from lerobot_buds.demos.hdf5_layouts import Source
 from lerobot_buds.demos.importing import Import, Imported, import_demonstrations
@@ -348,7 +349,7 @@ def test_the_command_imports_and_shows_errors_in_one_line(
 ) -> None:
     options = ["--repo_id=test/imported", "--task=lift", "--fps=20", "--video=false", f"--root={tmp_path / 'out'}"]
     options += ["--cameras={front: agentview_image}", "--state=[robot0_eef_pos, robot0_gripper_qpos]"]
-    monkeypatch.setattr("lerobot_buds.demos.frames.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_buds.data.frames.HF_LEROBOT_HOME", tmp_path)
     monkeypatch.setattr("sys.argv", ["lerobot-buds-import", f"--source={tmp_path / 'absent.hdf5'}", *options])
     with pytest.raises(SystemExit) as stopped:
         main()

@@ -26,7 +26,7 @@ from lerobot_buds.core import (
     read_json,
     sha256_of_file,
 )
-from lerobot_buds.demos import DatasetFiles, cached_frames, check_demonstrations, read_table
+from lerobot_buds.data import DatasetFiles, cached_frames, check_demonstrations, read_table
 from lerobot_buds.demos.recording import Recording, record
 from lerobot_buds.envs import ACTION_NAMES, STATE_NAMES, TASKS, EnvSettings
 

@@ -4,7 +4,7 @@ import pytest
 from lerobot.configs import FeatureType
 from lerobot.envs import EnvConfig
 
-from lerobot_buds.core import EYE_IN_HAND_CAMERA, STATE, WORKSPACE_CAMERA, ConfigError, SimulatorError
+from lerobot_buds.core import EYE_IN_HAND_CAMERA, RENDER_PROFILES, STATE, WORKSPACE_CAMERA, ConfigError, SimulatorError
 from lerobot_buds.envs import PROFILES, TASKS, EpisodeVectorEnv, profile_named, tasks_named
 from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
 from lerobot_buds.envs.loading import check_versions, installed_version
@@ -81,7 +81,7 @@ def test_every_task_is_whole():
 
 
 def test_profiles_by_name():
-    assert [profile_named(name) for name in PROFILES] == list(PROFILES.values())
+    assert [profile_named(name) for name in RENDER_PROFILES] == list(PROFILES.values())
     with pytest.raises(ConfigError, match=r"no render profile 'ful'\. Did you mean 'full'"):
         profile_named("ful")
 

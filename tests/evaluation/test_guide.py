@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from lerobot_buds.core import IMAGE_PREFIX, STATE, CheckpointError, DatasetError, write_json
-from lerobot_buds.demos import cached_frames, read_table
+from lerobot_buds.data import cached_frames, read_table
 from lerobot_buds.envs import TASKS
 from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
 from lerobot_buds.evaluation.checkpoint import Checkpoint, load_checkpoint

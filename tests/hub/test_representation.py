@@ -9,7 +9,8 @@ PREPARE = """
 import json, sys
 from pathlib import Path
 from lerobot_buds.core import CheckpointError
-from lerobot_buds.representation import Modalities, Representation, RepresentationConfig, hub
+from lerobot_buds.data import hub
+from lerobot_buds.representation import Modalities, Representation, RepresentationConfig
 
 hub.PAUSES_S = (0.1, 0.1)
 

@@ -5,7 +5,7 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.datasets import LeRobotDataset
 
 from lerobot_buds.core import WORKSPACE_CAMERA, CheckpointError, DatasetError, SegmentationError
-from lerobot_buds.demos import read_table
+from lerobot_buds.data import read_table
 from lerobot_buds.policy.labels import LabelTable, history_rows
 from lerobot_buds.policy.rollout import Rollout
 

@@ -11,7 +11,7 @@ from PIL import Image
 from safetensors.torch import load_file, save_file
 
 from lerobot_buds.core import STATE, CheckpointError, DatasetError, read_json, sha256_of_file, write_json
-from lerobot_buds.demos import cached_frames, read_table
+from lerobot_buds.data import cached_frames, read_table
 from lerobot_buds.representation import (
     Modalities,
     Representation,

@@ -8,7 +8,7 @@ import pytest
 from lerobot.datasets import LeRobotDataset
 
 from lerobot_buds.core import DatasetError
-from lerobot_buds.demos import DatasetFiles, read_table
+from lerobot_buds.data import DatasetFiles, read_table
 
 
 def test_columns_equal_those_of_lerobot(image_root: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from lerobot_buds.core import COLLECTION_FILE, DatasetError, write_json
-from lerobot_buds.demos import read_collection
+from lerobot_buds.data import read_collection
 
 
 def test_a_dataset_without_a_record_has_an_empty_one(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from lerobot_buds.core import DatasetError
-from lerobot_buds.demos import check_demonstrations, dimension_names
+from lerobot_buds.data import check_demonstrations, dimension_names
 
 FRONT = "observation.images.front"
 WRIST = "observation.images.wrist"

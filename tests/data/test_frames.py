@@ -12,7 +12,7 @@ import pytest
 from lerobot.datasets import LeRobotDataset, add_features
 
 from lerobot_buds.core import DatasetError
-from lerobot_buds.demos import cached_frames, frames_key
+from lerobot_buds.data import cached_frames, frames_key
 
 FRONT = "observation.images.front"
 WRIST = "observation.images.wrist"

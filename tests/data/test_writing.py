@@ -6,7 +6,7 @@ from threading import Event, Thread
 import pytest
 
 from lerobot_buds.core import DatasetError, StorageError
-from lerobot_buds.demos import make_once, only_writer
+from lerobot_buds.data import make_once, only_writer
 
 
 def test_a_second_writer_is_refused_and_the_next_is_not(tmp_path: Path) -> None:
