@@ -112,7 +112,8 @@ DAMAGES = {
     "frames of another size": (info(shorter), r"at index 0 has shape \(32, 32, 3\); .*says \(48, 32, 3\)"),
     "channels in another place": (
         info(lambda c: c["features"][FRONT].update(names=["channels", "height", "width"])),
-        r"front' \(shape \(32, 32, 3\), names \['channels'.*no RGB images.*Name the cameras to use, --representation.cameras='\[\]', or correct",
+        r"front' \(shape \(32, 32, 3\), names \['channels'.*no RGB images.*"
+        r"Name the cameras to use, --representation.cameras='\[\]', or correct",
     ),
     "an old format": (info(lambda c: c.update(codebase_version="v2.1")), r"dataset format v2.1 is not v3; convert it"),
 }

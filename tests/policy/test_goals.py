@@ -19,11 +19,8 @@ def dataset(request, tmp_path_factory):
     """Two episodes of noise, 64 x 48 pixels, so that no two frames look alike."""
     root = tmp_path_factory.mktemp("goals") / "two"
     rng = np.random.default_rng(0)
-    image = {
-        "dtype": "video" if request.param else "image",
-        "shape": (48, 64, 3),
-        "names": ["height", "width", "channels"],
-    }
+    names = ["height", "width", "channels"]
+    image = {"dtype": "video" if request.param else "image", "shape": (48, 64, 3), "names": names}
     features = dict.fromkeys(CAMERAS, image) | {"action": {"dtype": "float32", "shape": (2,), "names": ["x", "y"]}}
     written = LeRobotDataset.create("tests/goals", 10, features, root=root, use_videos=request.param)
     for length in (9, 12):
@@ -60,9 +57,8 @@ def test_present_goal_and_representation_see_the_same_bits(dataset):
     for camera in CAMERAS:
         frames = cached_frames(dataset, camera, size=(SIZE, SIZE))
         for index in (0, 10):
-            present = scale_images(
-                dataset[index][camera][None].contiguous(memory_format=torch.channels_last), (SIZE, SIZE)
-            )
+            shown = dataset[index][camera][None].contiguous(memory_format=torch.channels_last)
+            present = scale_images(shown, (SIZE, SIZE))
             stored = torch.from_numpy(frames[[index]]).float().div(255)
             assert torch.equal(present, stored)
 
