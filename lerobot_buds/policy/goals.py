@@ -103,8 +103,8 @@ class GoalFrames:
             if self._camera not in {camera for camera, _ in errors}:
                 raise CheckpointError(
                     f"Which camera of {self._root} the batch calls {self._camera!r} cannot be told: its images are "
-                    f"none of the dataset's own (mean differences: {errors}). Leave out dataset.image_transforms, or rename "
-                    "the cameras in the dataset."
+                    f"none of the dataset's own (mean differences: {errors}). Leave out dataset.image_transforms, or "
+                    "rename the cameras in the dataset."
                 )
             nearest = (self._camera, None)
         logger.warning(
