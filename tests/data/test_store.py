@@ -91,11 +91,7 @@ def test_nothing_is_enlarged(stored: tuple[int, int], side: int | None, used: tu
 
 @pytest.mark.parametrize("kind", ["video_root", "image_root"])
 def test_a_killed_decoding_goes_on_where_it_was(
-    kind: str,
-    request: pytest.FixtureRequest,
-    copy_of: Callable[[Path], Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = request.getfixturevalue(kind)
     whole = cached_frames(root, WRIST, tmp_path / "whole")
