@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 FPS = 30
 _PARTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 JOINTS = [f"{name}.pos" for name in _PARTS]
-    f"{name}.pos" for name in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-]
 STAGES = 4
 STEPS = 200
 
