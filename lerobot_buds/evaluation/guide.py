@@ -88,7 +88,7 @@ class Guide:
         representation.network.to(str(config.device))
         frames = DemonstrationFrames(latents, starts, ends, skills, subgoals, record.n_skills, config.meta_period)
         stages = _stages(root, task) if TRUE_STAGE in DatasetFiles(root).features else np.empty(0, dtype=np.int64)
-        goals = cached_frames(root, config.cameras[0])
+        goals = cached_frames(root, config.stacked_cameras[0])
         return cls(frames, goals, stages, representation, record.labels_hash, neighbors)
 
     def latents(self, observation: dict[str, Any], rows: IntArray) -> FloatArray:

@@ -95,7 +95,7 @@ class LabelTable:
         self._goals = self._frames(config) if config.has_subgoals else None
 
     def _frames(self, config: BudsConfig) -> NDArray[np.uint8]:
-        camera = config.cameras[0]
+        camera = config.stacked_cameras[0]
         frames, expected = cached_frames(self.root, camera), tuple(config.image_features[camera].shape)
         if frames.shape[1:] != expected:
             raise CheckpointError(

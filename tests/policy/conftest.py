@@ -52,6 +52,8 @@ SMALL = {
     "meta_head_widths": [16],
     "meta_conv_feature": 8,
     "device": "cpu",
+    "current_state": ["*joint*"],
+    "history_state": ["*gripper*"],
 }
 
 torch.set_num_threads(1)
