@@ -240,5 +240,5 @@ def _blank(name: str, feature: dict[str, Any], total: int) -> NDArray[Any]:
     if feature["dtype"] in ("video", "image", "string") or len(shape) != 1:
         raise DatasetError(f"column {name!r} of type {feature['dtype']} and shape {shape} is no numeric vector.")
     dtype = np.dtype(feature["dtype"])
-    fill = np.nan if dtype.kind == "f" else False if dtype.kind == "b" else -1
+    fill = {"f": np.nan, "i": -1}.get(dtype.kind, 0)  # as far as the type has a value to spare
     return np.full((total,) if shape == (1,) else (total, *shape), fill, dtype=dtype)

@@ -1,7 +1,8 @@
 """Takes LeRobot's batches apart: shapes compared, ranks restored, numbers as floats, one task for every row.
 
-LeRobot hands features of one number over as scalars, ``(B,)`` where others are ``(B, D)``, and leaves columns in the
-type in which they were recorded. Behind this module there are only floats of the rank that the networks expect.
+LeRobot hands features of one number over as scalars, ``(B,)`` where others are ``(B, D)``; its processor then takes the
+rows for the numbers of a single row, ``(1, B)``. Columns keep the type in which they were recorded. Behind this module
+there are only floats of the rank that the networks expect.
 """
 
 from collections.abc import Mapping
@@ -37,19 +38,22 @@ def read_inputs(config: BudsConfig, batch: Mapping[str, Any]) -> tuple[Tensor, T
     if missing:
         known = sorted(key for key in batch if key.startswith("observation"))
         raise CheckpointError(f"The policy needs {missing}, which the observation lacks. It has {known}.")
+    count = _count(config, batch)
     values = {}
     for key, feature in config.input_features.items():
         value, expected = batch[key], tuple(feature.shape)
-        if expected == (1,) and value.ndim == 1:
-            value = value[:, None]
-        if tuple(value.shape[1:]) != expected:
-            given = tuple(value.shape[1:])
-            raise CheckpointError(f"{key}: the policy was made for shape {expected}, the observation has {given}.")
+        if expected == (1,) and value.shape in _ranks_of_one(count):
+            value = value.reshape(count, 1)
+        if tuple(value.shape) != (count, *expected):
+            raise CheckpointError(
+                f"{key}: the policy was made for shape {expected}, the observation has {tuple(value.shape[1:])} in "
+                f"{len(value)} row(s) of {count}."
+            )
         values[key] = value.float()
     check_observation(config, batch)
     images = torch.cat([scale_images(values[key], config.image_shape) for key in config.stacked_cameras], dim=1)
     state = values[STATE] if STATE in values else images.new_zeros(len(images), 0)
-    tasks = [task_number(config, task) for task in _tasks(batch, len(images))]
+    tasks = [task_number(config, task) for task in _tasks(batch, count)]
     return images, state, torch.tensor(tasks, device=images.device)
 
 
@@ -70,17 +74,26 @@ def read_actions(config: BudsConfig, batch: Mapping[str, Any]) -> Tensor:
     if ACTION not in batch:
         raise CheckpointError(f"The batch holds no {ACTION!r}, which a loss needs. It has {sorted(batch)}.")
     actions: Tensor = batch[ACTION]
-    chunk, size = config.chunk_size, int(config.action_feature.shape[0])
-    if size == 1 and actions.ndim == (1 if chunk == 1 else 2):
-        actions = actions[..., None]
-    if chunk == 1 and actions.ndim == 2:
+    count, chunk, size = _count(config, batch), config.chunk_size, int(config.action_feature.shape[0])
+    if size == 1 and actions.shape in ([(count, chunk)] if chunk > 1 else _ranks_of_one(count)):
+        actions = actions.reshape(count, chunk, 1)
+    elif chunk == 1 and actions.ndim == 2:
         actions = actions[:, None]
-    if tuple(actions.shape[1:]) != (chunk, size):
+    if tuple(actions.shape) != (count, chunk, size):
         raise CheckpointError(
             f"{ACTION}: the policy was made for {chunk} action(s) of {size} number(s) at once, the batch has shape "
             f"{tuple(batch[ACTION].shape)}."
         )
     return actions.float()
+
+
+def _count(config: BudsConfig, batch: Mapping[str, Any]) -> int:
+    return len(batch[config.stacked_cameras[0]])
+
+
+def _ranks_of_one(count: int) -> list[tuple[int, ...]]:
+    """Lists the shapes in which one number a row may come."""
+    return [(count,), (1, count), (count, 1)]
 
 
 def _tasks(batch: Mapping[str, Any], count: int) -> list[str]:
