@@ -24,7 +24,10 @@ from .configuration_buds import BudsConfig
 logger = logging.getLogger(__name__)
 
 REACH = 0.9
-"""What the bounds of the dataset are in the networks: well inside of tanh, where they can be learnt exactly (ours)."""
+"""What the bounds of the dataset are in the networks: well inside of tanh, where they can be learnt exactly (ours).
+
+Checkpoints depend on it.
+"""
 
 TAIL, SPIKE = 1e-3, 5.0
 """Less than this share of the frames that widens the range of all others so many times is an outlier (ours)."""
@@ -115,9 +118,9 @@ def settle_actions(config: BudsConfig, found: ActionRange) -> None:
         logger.info("Scaled to their bounds are the actions %s.", found.named(scaled))
         if outliers := [d for d in found.outliers if d in scaled]:
             logger.warning(
-                "Fewer than %g of the frames reach far beyond these bounds, and are trained as if near them: %s. Such "
+                "Less than %g %% of the frames reach far beyond these bounds, and are trained as if near them: %s. Such "
                 "outliers are mostly faults of the recording.",
-                TAIL,
+                100 * TAIL,
                 found.named(outliers),
             )
 

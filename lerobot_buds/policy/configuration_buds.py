@@ -225,10 +225,9 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
             raise ConfigError(f"workspace_camera={self.workspace_camera!r} is not a camera of the data. {known}")
         # What is not used would be demanded from environments in vain.
         unused = [key for key in features if key not in {*images, STATE}]
-        if unused:
-            logger.info("The policy does not use %s.", unused)
         for key in unused:
             del features[key]
+        logger.info("The policy sees %s, first the workspace, and does not use %s.", self.stacked_cameras, unused)
         self._validate_image_shapes({key: tuple(feature.shape) for key, feature in images.items()})
 
     def _chosen_cameras(self) -> dict[str, PolicyFeature]:

@@ -252,13 +252,13 @@ def so101(tmp_path_factory: pytest.TempPathFactory) -> LeRobotDatasetMetadata:
 def so101_policy(so101: LeRobotDatasetMetadata, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Flat behaviour cloning of that arm, trained until it is good."""
     torch.manual_seed(0)
-    config = {**SMALL, "skills": "flat", "head_widths": [128, 128], "optimizer_lr": 3e-3, "crop_padding": 0}
+    config = {**SMALL, "skills": "flat", "head_widths": [128, 128], "optimizer_lr": 5e-3, "crop_padding": 0}
     config |= {"current_state": None, "history_state": None}
     policy = make_policy(BudsConfig(**config), ds_meta=so101).train()
     optimizer = policy.config.get_optimizer_preset().build(policy.get_optim_params())
     dataset = LeRobotDataset("tests/robot", root=so101.root)
     batch = torch.utils.data.default_collate(list(dataset))
-    steps = 900
+    steps = 400
     decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for _ in range(steps):
         loss, _ = policy(batch)

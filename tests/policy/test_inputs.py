@@ -32,12 +32,11 @@ def robot(record_robot, small, tmp_path):
     return robot
 
 
-@pytest.mark.parametrize("skills", ["flat", "single"])
 @pytest.mark.parametrize("chunk", [1, 3])
 @pytest.mark.parametrize(("state", "action"), [(1, 2), (2, 1), (1, 1)])
-def test_one_number_is_a_vector_of_one(robot, skills, chunk, state, action):
+def test_one_number_is_a_vector_of_one(robot, chunk, state, action):
     ramp = np.linspace(-1, 1, 12, dtype=np.float32)[:, None]
-    policy, batch = robot([ramp.repeat(state, 1)], [0.5 * ramp.repeat(action, 1)], skills=skills, chunk_size=chunk)
+    policy, batch = robot([ramp.repeat(state, 1)], [0.5 * ramp.repeat(action, 1)], skills="single", chunk_size=chunk)
     if action == 1:
         assert batch[ACTION].shape == ((1, 12) if chunk == 1 else (12, 3))  # what LeRobot makes of it
     assert read_inputs(policy.config, batch)[1].shape == (12, state)
@@ -56,7 +55,7 @@ def test_one_number_is_a_vector_of_one(robot, skills, chunk, state, action):
 
 
 def test_one_action_is_trained_against_its_own_frame(robot):
-    """The state tells the action; today every sample was trained against all actions of its batch: the mean."""
+    """The state tells the action; trained against all actions of its batch, every sample would learn their mean."""
     ramp = np.linspace(-1, 1, 40, dtype=np.float32)[:, None]
     policy, batch = robot([ramp], [0.8 * ramp], skills="flat", optimizer_lr=1e-2, crop_padding=0)
     policy.train()
@@ -71,13 +70,12 @@ def test_one_action_is_trained_against_its_own_frame(robot):
 
 @pytest.mark.parametrize("dtype", ["bool", "uint8", "int64", "float16", "float64"])
 @pytest.mark.parametrize("column", ["state", "action"])
-@pytest.mark.parametrize("skills", ["flat", "single"])
-def test_columns_of_any_type_are_numbers(robot, dtype, column, skills):
+def test_columns_of_any_type_are_numbers(robot, dtype, column):
     plain = np.random.default_rng(0).normal(size=(12, 2)).astype(np.float32)
     values = np.arange(24).reshape(12, 2) % 5
     typed = (values > 2 if dtype == "bool" else values).astype(dtype)
     states, actions = (typed, plain) if column == "state" else (plain, typed)
-    policy, batch = robot([states], [actions], skills=skills, history_state=["1"])
+    policy, batch = robot([states], [actions], skills="single", history_state=["1"])
     loss, _ = policy(batch)
     loss.backward()
     assert loss.dtype == torch.float32 and loss.isfinite()
