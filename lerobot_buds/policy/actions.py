@@ -118,8 +118,8 @@ def settle_actions(config: BudsConfig, found: ActionRange) -> None:
         logger.info("Scaled to their bounds are the actions %s.", found.named(scaled))
         if outliers := [d for d in found.outliers if d in scaled]:
             logger.warning(
-                "Less than %g %% of the frames reach far beyond these bounds, and are trained as if near them: %s. Such "
-                "outliers are mostly faults of the recording.",
+                "Less than %g %% of the frames reach far beyond these bounds, and are trained as if near them: %s. "
+                "Such outliers are mostly faults of the recording.",
                 100 * TAIL,
                 found.named(outliers),
             )
