@@ -26,8 +26,8 @@ def read_inputs(config: BudsConfig, batch: Mapping[str, Any]) -> tuple[Tensor, T
         batch: LeRobot's batch.
 
     Returns:
-        Images ``(B, C, H, W)`` of network size, all cameras stacked, in [0, 1]; the state ``(B, D)``, D = 0 without
-        one; the numbers of the tasks ``(B,)`` int64.
+        Images ``(B, C, H, W)`` of network size, all cameras stacked, in [0, 1] (bytes are divided by 255); the state
+        ``(B, D)``, D = 0 without one; the numbers of the tasks ``(B,)`` int64.
 
     Raises:
         CheckpointError: An input is missing or has another shape than the policy was made for, or the environment is
@@ -44,12 +44,13 @@ def read_inputs(config: BudsConfig, batch: Mapping[str, Any]) -> tuple[Tensor, T
         value, expected = batch[key], tuple(feature.shape)
         if expected == (1,) and value.shape in _ranks_of_one(count):
             value = value.reshape(count, 1)
-        if tuple(value.shape) != (count, *expected):
-            raise CheckpointError(
-                f"{key}: the policy was made for shape {expected}, the observation has {tuple(value.shape[1:])} in "
-                f"{len(value)} row(s) of {count}."
-            )
-        values[key] = value.float()
+        if tuple(value.shape[1:]) != expected:
+            given = tuple(value.shape[1:])
+            raise CheckpointError(f"{key}: the policy was made for shape {expected}, the observation has {given}.")
+        if len(value) != count:
+            raise CheckpointError(f"{key} has {len(value)} rows, the images of the same observation have {count}.")
+        is_bytes = key in config.image_features and value.dtype == torch.uint8
+        values[key] = value.float() / 255 if is_bytes else value.float()
     check_observation(config, batch)
     images = torch.cat([scale_images(values[key], config.image_shape) for key in config.stacked_cameras], dim=1)
     state = values[STATE] if STATE in values else images.new_zeros(len(images), 0)

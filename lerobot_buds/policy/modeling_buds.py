@@ -72,19 +72,19 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             settle_without_dataset(config)
         else:
             settle_on_dataset(config, dataset_meta, may_be_renamed=from_checkpoint)
-        has_bounds = from_checkpoint or taken is not None
+        self._dataset_root = Path(dataset_meta.root) if dataset_meta is not None else None
+        brings_bounds = from_checkpoint or taken is not None
         found = None
-        if has_bounds or dataset_meta is None:
+        if self._dataset_root is None or brings_bounds:
             keep_older_actions(config)
         else:
-            found = ActionRange.read(Path(dataset_meta.root))
+            found = ActionRange.read(self._dataset_root)
             settle_actions(config, found)
         self.actions = ActionCoding(config, found)
         self.proprioception = Proprioception(config, dataset_stats)
         self.skills = SkillLibrary(config)
         self.meta_controllers = MetaControllers(config) if config.has_subgoals else None
         self.register_buffer("trained_steps", torch.zeros((), dtype=torch.int64))
-        self._dataset_root = Path(dataset_meta.root) if dataset_meta is not None else None
         if taken is not None:
             taken.load_into(self)
             self._warn_of_unreachable_actions()

@@ -92,8 +92,17 @@ def test_shapes_are_compared_before_anything_broadcasts(build, batch_of):
         build(chunk_size=3)(batch)
     with pytest.raises(CheckpointError, match=r"observation.state.*\(5,\).*\(1,\)"):
         policy({**batch, STATE: batch[STATE][:, :1]})
+    with pytest.raises(CheckpointError, match=r"observation.state has 2 rows.*have 3"):
+        policy({**batch, STATE: batch[STATE][:2]})
     with pytest.raises(CheckpointError, match="no 'action'"):
         policy({key: value for key, value in batch.items() if key != ACTION})
+
+
+def test_images_of_bytes_are_the_same_images(build, batch_of):
+    policy, batch = build(), batch_of(0, 12)
+    images = {key: (255 * value).round().byte() for key, value in batch.items() if key in policy.config.image_features}
+    expected = read_inputs(policy.config, batch)[0]
+    torch.testing.assert_close(read_inputs(policy.config, {**batch, **images})[0], expected)
 
 
 def test_a_task_given_alone_is_the_task_of_all_rows(build, batch_of, task):
