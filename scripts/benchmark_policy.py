@@ -115,8 +115,8 @@ def separate_networks(policy: BudsPolicy) -> Callable[[dict], None]:
             rows = (labels.skill == k).nonzero()[:, 0]
             if len(rows):
                 subgoal = skill.subgoal_encoder(goals[rows])
-                actions, _ = skill(shifted[rows], subgoal + 0.1 * torch.randn_like(subgoal), proprio[rows])
-                finish((actions[:, 0] - batch[ACTION][rows]).square().sum(), optimizer)
+                output, _ = skill(shifted[rows], subgoal + 0.1 * torch.randn_like(subgoal), proprio[rows])
+                finish(policy.actions.errors(output[:, 0], batch[ACTION][rows]).sum(), optimizer)
         target = policy.skills.subgoal_targets(labels.skill, goals)
         meta, _ = policy.meta_controllers.losses(shifted[:, :channels], task, labels.skill, target)
         finish((meta.skill_id_loss + meta.subgoal_loss + 1e-4 * meta.kl_loss).mean(), optimizers[-1])

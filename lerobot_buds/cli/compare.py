@@ -11,7 +11,7 @@ from lerobot_buds.core import (
     ConfigError,
     DatasetError,
     FloatArray,
-    dimensions_used,
+    dims_used,
     remove_leftovers,
     write_json,
 )
@@ -94,7 +94,7 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
 
 def _signal(dataset: LocalDataset, patterns: list[str], setting: str) -> list[FloatArray]:
     """Reads the dimensions of the state that match, ``(T, d)`` per demonstration."""
-    dims = dimensions_used(dimension_names(dataset.features[STATE]), patterns, setting)
+    dims = dims_used(setting, dimension_names(dataset.features[STATE]), patterns, ())
     table = read_table(dataset, [STATE])
     state = table.columns[STATE].reshape(len(table.present), -1)[:, dims].astype(np.float64)
     return [state[start:end] for start, end in zip(table.starts, table.ends, strict=True)]

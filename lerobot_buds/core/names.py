@@ -1,9 +1,10 @@
-"""Column, file and feature names shared by every stage, and the rule that selects state dimensions by name."""
+"""Column, file and feature names shared by every stage, and the rules that select state dimensions by name."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from math import isclose
 
-from .errors import ConfigError
+from .errors import ConfigError, near_names
 
 SKILL_ID = "skill_id"
 """int64 column: the skill of a frame, in ``[0, n_skills)``."""
@@ -19,6 +20,15 @@ ACTION = "action"
 IMAGE_PREFIX = "observation.images."
 WORKSPACE_CAMERA = "observation.images.agentview"
 EYE_IN_HAND_CAMERA = "observation.images.eye_in_hand"
+
+OUR_STATE = (
+    *(f"joint_{number}.pos" for number in range(1, 8)),
+    *("gripper_left.pos", "gripper_right.pos", "eef_x.pos", "eef_y.pos", "eef_z.pos"),
+)
+"""Names of the state that our environments record. Whoever has exactly these gets what the paper's networks read."""
+
+OUR_ACTION = ("delta_x", "delta_y", "delta_z", "gripper")
+"""Names of the actions that our environments take, all in [-1, 1]."""
 
 RENDER_PROFILES = ("fast", "fastest", "full")
 """How our simulator can draw. Observations tell by a number, the place in this list, so it only ever grows."""
@@ -45,30 +55,45 @@ def select_dims(names: Sequence[str], patterns: Sequence[str]) -> list[int]:
     return [i for i, name in enumerate(names) if any(fnmatchcase(name, p) for p in patterns)]
 
 
-def dimensions_used(names: Sequence[str], patterns: Sequence[str] | None, setting: str) -> list[int]:
-    """Settles which dimensions of a robot's vector are used: all of them, unless a user names some.
+def dims_used(
+    setting: str,
+    names: Sequence[str],
+    patterns: Sequence[str] | None,
+    ours: Sequence[str],
+    others: Sequence[str] = ("*",),
+) -> list[int]:
+    """Selects the dimensions of a state that a network reads.
 
-    No pattern is a default: one that fits our robot may match a part of somebody else's, in silence.
+    What a robot calls its joints is nobody's to guess: a pattern that suits one robot matches a part of another's
+    without a word. Hence patterns are the user's, or those of our own environments, which are told by all their names.
 
     Args:
-        names: One name per dimension.
-        patterns: Shell-style patterns; None for all dimensions, none of them where empty.
-        setting: The setting that holds the patterns, for the message.
+        setting: Name of the user's setting, for messages.
+        names: One name per dimension; their numbers where a dataset has no names.
+        patterns: The user's; None where he asks for none in particular, empty where he wants no dimension.
+        ours: Patterns for the state of our own environments, `OUR_STATE`.
+        others: Patterns for any other robot; all dimensions by default.
 
     Returns:
-        Dimensions in ascending order.
+        The dimensions in ascending order.
 
     Raises:
-        ConfigError: A pattern matches nothing.
+        ConfigError: A pattern of the user's matches no dimension; names them all.
     """
     if patterns is None:
-        return list(range(len(names)))
-    idle = [pattern for pattern in patterns if not select_dims(names, [pattern])]
-    if idle:
-        raise ConfigError(
-            f"{setting}: {idle} match none of the dimensions {list(names)}. Name others, or leave it out."
-        )
+        return select_dims(names, ours if tuple(names) == OUR_STATE else others)
+    for pattern in patterns:
+        if not select_dims(names, [pattern]):
+            raise ConfigError(
+                f"{setting}: {pattern!r} matches no dimension of the state. {near_names(pattern, names)} Leave "
+                f"{setting} out to have it chosen."
+            )
     return select_dims(names, patterns)
+
+
+def same_rate(one: float, other: float) -> bool:
+    """Compares two rates (per second): 30000/1001 is 29.97, and 30 is not."""
+    return isclose(one, other, rel_tol=1e-4)
 
 
 def frames_of_seconds(seconds: float, fps: float) -> int:

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_buds.core import IMAGE_PREFIX, STATE, TRUE_STAGE, CheckpointError, DatasetError, FloatArray, IntArray
+from lerobot_buds.core import (
+    IMAGE_PREFIX,
+    STATE,
+    TRUE_STAGE,
+    CheckpointError,
+    DatasetError,
+    FloatArray,
+    IntArray,
+    same_rate,
+)
 from lerobot_buds.envs import Task
 
 from .neighbors import NEIGHBORS, DemonstrationFrames, Mask
@@ -88,7 +97,7 @@ class Guide:
         representation.network.to(str(config.device))
         frames = DemonstrationFrames(latents, starts, ends, skills, subgoals, record.n_skills, config.meta_period)
         stages = _stages(root, task) if TRUE_STAGE in LocalDataset(root).features else np.empty(0, dtype=np.int64)
-        goals = cached_frames(root, config.cameras[0], size=config.image_shape)
+        goals = cached_frames(root, config.stacked_cameras[0], size=config.image_shape)
         return cls(frames, goals, stages, representation, record.labels_hash, neighbors)
 
     def latents(self, observation: dict[str, Any], rows: IntArray) -> FloatArray:
@@ -143,9 +152,11 @@ def _check_labels(root: Path, record: "SegmentationRecord", config: "BudsConfig"
             f"The policy was trained on other labels than those of {root}; its skills mean something else. Give the "
             "segmented dataset that it was trained on."
         )
-    for name, trained, stored in (("skills", config.n_skills, record.n_skills), ("fps", config.fps, record.source.fps)):
-        if trained != stored:
-            raise CheckpointError(f"The policy was trained with {name}={trained}, {root} has {stored}.")
+    skills, fps = record.n_skills, record.source.fps
+    if config.n_skills != skills:
+        raise CheckpointError(f"The policy was trained with skills={config.n_skills}, {root} has {skills}.")
+    if config.fps is None or not same_rate(config.fps, fps):
+        raise CheckpointError(f"The policy was trained with fps={config.fps}, {root} has {fps}.")
 
 
 def _demonstrations_of(root: Path, task: Task) -> tuple[IntArray, IntArray]:

@@ -1,15 +1,23 @@
 """The configuration of policy type ``buds``; importing it registers the type with LeRobot."""
 
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from lerobot.configs import NormalizationMode, PolicyFeature, PreTrainedConfig
 from lerobot.optim import AdamConfig
 from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig  # not exported by lerobot.optim
 
-from lerobot_buds.core import IMAGE_PREFIX, STATE, WORKSPACE_CAMERA, ConfigError, frames_of_seconds, near_names
+from lerobot_buds.core import STATE, WORKSPACE_CAMERA, ConfigError, frames_of_seconds, near_names
+
+logger = logging.getLogger(__name__)
 
 PAPER_FPS = 20
+PAPER_PIXELS = 128
 RESNET_MIN_PIXELS = 64
+RGB = 3
+"""Channels of the images that are used."""
+
 CHOICES = {
     "skills": ("segments", "single", "flat"),
     "encoder": ("resnet18", "conv"),
@@ -20,11 +28,14 @@ CHOICES = {
 }
 """Fields of the configuration that take one word, and the words."""
 
+ACTION_SCALINGS = ("bounds", "none")
+"""Words of `action_scaling`, which may also be left open."""
+
 LIBRARY_FIELDS = (
-    *("skills", "subgoal_horizon_s", "workspace_camera", "image_size", "current_state", "history_state"),
+    *("skills", "subgoal_horizon_s", "cameras", "workspace_camera", "image_size", "current_state", "history_state"),
     *("gripper_history_s", "encoder", "norm", "conv_channels", "keypoints", "image_feature", "subgoal_dim"),
     *("head_widths", "shared_trunk", "chunk_size", "termination", "n_skills", "segmentation", "fps", "render_profile"),
-    *("state_names", "current_dims", "history_dims"),
+    *("state_names", "current_dims", "history_dims", "action_scaling", "binary_dims"),
 )
 """Fields that say what the skills are: with `skills_path` they are those of the library."""
 
@@ -47,8 +58,8 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     subgoal_horizon_s: float = 1.5  # of "single" (notes); with "segments" the dataset says
     skills_path: str | None = None  # trained policy, folder or Hub, whose skills are taken over and frozen
 
-    # Inputs. Images and actions go in and out unchanged; the policy standardises the state with buffers of its own, so
-    # that a skill keeps its scaling when it is trained further on another dataset.
+    # Inputs. Everything goes in and out unchanged; the policy scales state and actions with buffers of its own, so that
+    # a skill keeps its scaling when it is trained further on another dataset.
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: {
             "VISUAL": NormalizationMode.IDENTITY,
@@ -56,12 +67,18 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
             "ACTION": NormalizationMode.IDENTITY,
         }
     )
+    cameras: list[str] | None = None  # names of those to use, without depth maps; None: all
     workspace_camera: str | None = None  # None: the agent view where there is one, else the first camera
-    image_size: int | None = None  # None: as stored. A number scales down to that many pixels square, by area
+    image_size: int | None = None  # side of the squares that images are scaled down to by areas; None: 128 (paper), or
+    # as stored where that is smaller
     crop_padding: int = 4  # pixels after scaling; random shift of the images in training (paper: DrQ; notes: 4)
-    current_state: list[str] = field(default_factory=lambda: ["*joint*"])  # by name: read now (released code)
-    history_state: list[str] = field(default_factory=lambda: ["*gripper*"])  # by name: read before now (released code)
-    gripper_history_s: float = 0.25  # 5 readings at 20 Hz (released code)
+    current_state: list[str] | None = None  # patterns of names: read now. None: all; of our environments, the joints
+    history_state: list[str] | None = None  # read before now. None: nothing; of our environments, the gripper
+    gripper_history_s: float = 0.25  # how far back; 5 readings at 20 Hz (released code)
+
+    # Actions; what None stands for is settled by the dataset, see `policy.actions`
+    action_scaling: str | None = None  # "bounds": least and greatest of the dataset; "none": they lie in [-1, 1]
+    binary_dims: list[int] | None = None  # dimensions that take one of two values; None: those that do in the dataset
 
     # Networks
     encoder: str = "resnet18"  # "resnet18" (paper) or "conv": a small one for CPUs, of the same structure (ours)
@@ -103,7 +120,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     # Filled from the dataset
     n_skills: int | None = None
     segmentation: str | None = None  # hash of the labels: under another segmentation skill ids mean something else
-    fps: int | None = None
+    fps: float | None = None
     render_profile: str | None = None  # how a simulator drew the demonstrations; None where that is not recorded
     tasks: list[str] = field(default_factory=list)
     state_names: list[str] = field(default_factory=list)
@@ -115,15 +132,20 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         for name, known in CHOICES.items():
             if (value := getattr(self, name)) not in known:
                 raise ConfigError(f"{name}={value!r} is unknown. {near_names(str(value), known)}")
-        counts = ("image_size", "n_skills", "fps", "keypoints", "image_feature", "subgoal_dim", "meta_latent")
+        if self.action_scaling not in (None, *ACTION_SCALINGS):
+            raise ConfigError(
+                f"action_scaling={self.action_scaling!r} is unknown. "
+                f"{near_names(str(self.action_scaling), ACTION_SCALINGS)}"
+            )
+        counts = ("image_size", "n_skills", "keypoints", "image_feature", "subgoal_dim", "meta_latent")
         for name in (*counts, "chunk_size", "skill_steps"):
             if (value := getattr(self, name)) is not None and value < 1:
                 raise ConfigError(f"{name}={value} must be at least 1.")
         for name in ("crop_padding", "subgoal_noise", "kl_weight", "switch_margin", "ensemble_decay"):
             if (value := getattr(self, name)) < 0:
                 raise ConfigError(f"{name}={value} must not be negative.")
-        for name in ("gripper_history_s", "subgoal_horizon_s", "meta_period_s", "optimizer_lr"):
-            if not (value := getattr(self, name)) > 0:
+        for name in ("gripper_history_s", "subgoal_horizon_s", "meta_period_s", "optimizer_lr", "fps"):
+            if (value := getattr(self, name)) is not None and not value > 0:
                 raise ConfigError(f"{name}={value} must be positive.")
         if not self.conv_channels:
             raise ConfigError("conv_channels is empty: the encoder needs at least one stage.")
@@ -137,7 +159,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
             raise ConfigError("skills='flat' has no meta controller to train on the skills of skills_path.")
 
     @property
-    def cameras(self) -> list[str]:
+    def stacked_cameras(self) -> list[str]:
         """The image keys in the order in which they are stacked, the workspace camera first."""
         first = self.workspace_camera or next(iter(self.image_features))
         return [first, *(key for key in self.image_features if key != first)]
@@ -147,7 +169,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         """Height and width (pixels) of the images inside the networks."""
         if self.image_size is not None:
             return self.image_size, self.image_size
-        _, height, width = self.image_features[self.cameras[0]].shape
+        _, height, width = self.image_features[self.stacked_cameras[0]].shape
         return height, width
 
     @property
@@ -157,7 +179,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
 
     @property
     def history_frames(self) -> int:
-        """Frames of gripper history."""
+        """Frames of the history of the state (gripper history in the paper)."""
         return frames_of_seconds(self.gripper_history_s, self.fps or PAPER_FPS)
 
     @property
@@ -178,7 +200,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     @property
     def meta_channels(self) -> int:
         """Channels of the images that the meta controller sees; the workspace camera's come first."""
-        shown = self.cameras if self.meta_cameras == "all" else self.cameras[:1]
+        shown = self.stacked_cameras if self.meta_cameras == "all" else self.stacked_cameras[:1]
         return sum(int(self.image_features[camera].shape[0]) for camera in shown)
 
     @property
@@ -186,32 +208,55 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         """Dimensions of a skill's proprioception: the current state and the gripper history."""
         return len(self.current_dims or []) + len(self.history_dims or []) * self.history_frames
 
+    def settle_image_size(self) -> None:
+        """Scales larger images down to the paper's size where nothing is said: trained as stored they cost 19 times."""
+        smallest = min((min(f.shape[1:]) for f in self.image_features.values() if len(f.shape) == 3), default=0)
+        if self.image_size is None and smallest > PAPER_PIXELS:
+            self.image_size = PAPER_PIXELS
+            logger.info("Images of %d pixels and more are scaled to %d (image_size).", smallest, PAPER_PIXELS)
+
     def validate_features(self) -> None:
-        """Checks that inputs and outputs fit the networks, and settles the workspace camera.
+        """Checks that inputs and outputs fit the networks, leaves out what is not used, and settles the cameras.
 
         Raises:
-            ConfigError: No camera, cameras that cannot be stacked, or no action.
+            ConfigError: No camera, cameras that cannot be stacked, a state or an action that is no vector.
         """
-        images: dict[str, PolicyFeature] = self.image_features
-        if not images:
-            raise ConfigError(f"Policy 'buds' needs at least one camera ('{IMAGE_PREFIX}*'), the data has none.")
+        features: dict[str, PolicyFeature] = self.input_features
         if self.action_feature is None or len(self.action_feature.shape) != 1:
             raise ConfigError("Policy 'buds' needs one action vector named 'action'.")
+        if STATE in features and len(features[STATE].shape) != 1:
+            raise ConfigError(f"{STATE} has shape {tuple(features[STATE].shape)}; policy 'buds' reads a vector.")
+        images = self._chosen_cameras()
         if self.workspace_camera is None:
             self.workspace_camera = WORKSPACE_CAMERA if WORKSPACE_CAMERA in images else next(iter(images))
         if self.workspace_camera not in images:
             known = near_names(self.workspace_camera, images)
             raise ConfigError(f"workspace_camera={self.workspace_camera!r} is not a camera of the data. {known}")
+        # What is not used would be demanded from environments in vain.
+        unused = [key for key in features if key not in {*images, STATE}]
+        for key in unused:
+            del features[key]
+        logger.info("The policy sees %s, first the workspace, and does not use %s.", self.stacked_cameras, unused)
         self._validate_image_shapes({key: tuple(feature.shape) for key, feature in images.items()})
-        # Only the cameras, the state and the action are used; other inputs would be demanded from environments in vain.
-        for key in [key for key in self.input_features if key not in {*images, STATE}]:
-            del self.input_features[key]
+
+    def _chosen_cameras(self) -> dict[str, PolicyFeature]:
+        images: dict[str, PolicyFeature] = self.image_features
+        for camera in self.cameras or []:
+            if camera not in images:
+                raise ConfigError(f"cameras: {camera!r} is not a camera of the data. {near_names(camera, images)}")
+        if self.cameras is not None:
+            images = {key: feature for key, feature in images.items() if key in self.cameras}
+        if not images:
+            raise ConfigError(f"Policy 'buds' needs at least one camera; it was given {list(self.image_features)}.")
+        refuse_other_images(images, [key for key, feature in images.items() if feature.shape[0] != RGB])
+        return images
 
     def _validate_image_shapes(self, shapes: dict[str, tuple[int, ...]]) -> None:
         smallest = min(min(shape[1:]) for shape in shapes.values())
         if self.image_size is None and len(set(shapes.values())) > 1:
             raise ConfigError(
-                f"The cameras have different shapes and cannot be stacked: {shapes}. Set image_size to scale them all."
+                f"The cameras have different shapes and cannot be stacked: {shapes}. Set image_size to scale them all, "
+                "or name those to use by cameras."
             )
         if self.image_size is not None and self.image_size > smallest:
             raise ConfigError(f"image_size={self.image_size} would enlarge images: {shapes}.")
@@ -246,3 +291,20 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     def reward_delta_indices(self) -> None:
         """None: rewards are not used."""
         return None
+
+
+def refuse_other_images(images: Mapping[str, PolicyFeature], others: Sequence[str]) -> None:
+    """Refuses depth maps, grey and RGBA images, which mean nothing among the colours of others.
+
+    Args:
+        images: The cameras that would be used.
+        others: Those of them that are no RGB cameras.
+
+    Raises:
+        ConfigError: There are any; names the setting that leaves them out.
+    """
+    if others:
+        shapes = {key: tuple(images[key].shape) for key in others}
+        kept = [key for key in images if key not in others]
+        remedy = f"Leave them out: --policy.cameras='[{', '.join(kept)}]'." if kept else "The data has no RGB camera."
+        raise ConfigError(f"Policy 'buds' sees RGB images of shape (3, H, W), but these are none: {shapes}. {remedy}")

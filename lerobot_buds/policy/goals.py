@@ -38,7 +38,7 @@ class GoalFrames:
 
     def __init__(self, root: Path, config: BudsConfig, starts: IntArray) -> None:
         self._root, self._starts = root, starts
-        self._camera, self._size = config.cameras[0], config.image_shape
+        self._camera, self._size = config.stacked_cameras[0], config.image_shape
         _, height, width = config.image_features[self._camera].shape
         self._stored = (height, width)
         self._frames: NDArray[np.uint8] | None = None
@@ -48,7 +48,7 @@ class GoalFrames:
 
         Args:
             index: ``(B,)`` int64 absolute frame indices.
-            images: ``(B, 3, H, W)`` in [0, 1], what the batch holds of the workspace camera.
+            images: ``(B, 3, h, w)`` in [0, 1], what the batch holds of the workspace camera, scaled or not.
 
         Raises:
             CheckpointError: No camera of the dataset shows these images.

@@ -11,17 +11,18 @@ import torch.nn.functional as F
 from lerobot.policies import PreTrainedPolicy
 from torch import Tensor, nn
 
-from lerobot_buds.core import ACTION, STATE, CheckpointError, DatasetError
-from lerobot_buds.data import scale_images
+from lerobot_buds.core import DatasetError
 
+from .actions import ActionCoding, ActionRange, keep_older_actions, settle_actions
 from .configuration_buds import BudsConfig
 from .images import lay_out, random_shift
+from .inputs import read_actions, read_inputs
 from .labels import LabelTable, Supervision
 from .meta_controller import MetaControllers, MetaLosses
 from .proprioception import Proprioception
 from .reuse import TrainedSkills
 from .rollout import Rollout, choose_skills
-from .settling import check_observation, settle_on_dataset, settle_without_dataset, task_number
+from .settling import settle_on_dataset, settle_without_dataset
 from .skills import SkillLibrary
 from .targets import TargetTable
 
@@ -66,21 +67,32 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         if config.skills_path is not None and not from_checkpoint:
             taken = TrainedSkills.read(config.skills_path)
             taken.adopt(config)
+        if not from_checkpoint:
+            config.settle_image_size()
         config.validate_features()
         if dataset_meta is None:
             settle_without_dataset(config)
         else:
-            settle_on_dataset(config, dataset_meta)
+            settle_on_dataset(config, dataset_meta, may_be_renamed=from_checkpoint)
+        self._dataset_root = Path(dataset_meta.root) if dataset_meta is not None else None
+        brings_bounds = from_checkpoint or taken is not None
+        found = None
+        if self._dataset_root is None or brings_bounds:
+            keep_older_actions(config)
+        else:
+            found = ActionRange.read(self._dataset_root)
+            settle_actions(config, found)
+        self.actions = ActionCoding(config, found)
         self.proprioception = Proprioception(config, dataset_stats)
         self.skills = SkillLibrary(config)
         self.meta_controllers = MetaControllers(config) if config.has_subgoals else None
         self.register_buffer("trained_steps", torch.zeros((), dtype=torch.int64))
         if taken is not None:
             taken.load_into(self)
+            self._warn_of_unreachable_actions()
         self.skills.requires_grad_(config.skills_path is None)
         if config.compile_model:
             self._compile_encoders()
-        self._dataset_root = Path(dataset_meta.root) if dataset_meta is not None else None
         self._labels: LabelTable | None = None
         self._targets: TargetTable | None = None
         self._rollouts: dict[int, Rollout] = {}
@@ -90,7 +102,12 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
     def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:
         """Reads a checkpoint, see LeRobot's method of the same name; frozen skills are part of it."""
         policy: Self = super().from_pretrained(pretrained_name_or_path, from_checkpoint=True, **kwargs)
+        policy._warn_of_unreachable_actions()
         return policy
+
+    def _warn_of_unreachable_actions(self) -> None:
+        if self._dataset_root is not None:
+            self.actions.warn_of_unreachable(ActionRange.read(self._dataset_root))
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Returns one named parameter group for what is trained of skills and meta controllers each."""
@@ -122,8 +139,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             reduction: ``"mean"``, or ``"none"`` for the loss of every sample, as LeRobot's weighting asks for.
 
         Returns:
-            The loss (scalar, or ``(B,)``), and its terms and the accuracy of the skill ids, the same keys at every
-            step; parts that are not trained now count as 0.
+            The loss (scalar, or ``(B,)``), and its terms, the accuracy of the skill ids and the error of the actions in
+            the dataset's unit, the same keys at every step; parts that are not trained now count as 0.
 
         Raises:
             CheckpointError: An input is missing or has another shape than the policy was made for.
@@ -132,7 +149,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         images, state, task = self._inputs(batch)
         labels = self._label_table().lookup(batch["index"])
         if (goals := self._label_table().goals) is not None:
-            goals.recognise(batch["index"], batch[self.config.cameras[0]])
+            goals.recognise(batch["index"], self._seen_by_meta(images)[:, :3])
         if self.training:
             images = random_shift(images, self.config.crop_padding)
         subgoal = target = imagined = images.new_zeros(len(images), 0)
@@ -156,7 +173,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return loss if reduction == "none" else loss.mean(), dict(zip(terms, means, strict=True))
 
     def _terms(self) -> list[str]:
-        skills = ["skill_loss", *(["termination_loss"] if self.config.termination else [])]
+        skills = ["skill_loss", "action_error", *(["termination_loss"] if self.config.termination else [])]
         meta = [field.name for field in fields(MetaLosses)]
         return skills + meta if self.meta_controllers is not None else skills
 
@@ -165,13 +182,17 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
     ) -> dict[str, Tensor]:
         """Computes the skills' terms of the loss, ``(B,)`` each."""
         proprio = self.proprioception(state, labels.history)
-        predicted, ending = self.skills(labels.skill, images, subgoal, proprio)
-        wanted = batch[ACTION] if self.config.chunk_size > 1 else batch[ACTION][:, None]
-        errors = (predicted - wanted).square().sum(dim=2)  # (B, n)
+        output, ending = self.skills(labels.skill, images, subgoal, proprio)
+        wanted = read_actions(self.config, batch)
+        errors = self.actions.errors(output, wanted)  # (B, n)
         padded = batch.get("action_is_pad")
         inside = torch.ones_like(errors) if padded is None else (~padded).to(errors)
         weight = self._label_table().weights.to(errors)[labels.skill] if self.config.balance_skills else 1.0
-        terms = {"skill_loss": weight * (errors * inside).sum(dim=1) / inside.sum(dim=1)}
+        misses = self.actions.misses(output, wanted)
+        terms = {
+            "skill_loss": weight * (errors * inside).sum(dim=1) / inside.sum(dim=1),
+            "action_error": (misses * inside).sum(dim=1) / inside.sum(dim=1),
+        }
         if self.config.termination:
             losses = F.binary_cross_entropy_with_logits(ending, labels.ending.to(ending), reduction="none")
             terms["termination_loss"] = weight * losses
@@ -236,7 +257,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             kwargs: Not used.
 
         Returns:
-            ``(B, A)`` actions in [-1, 1].
+            ``(B, A)`` float32 actions, in the unit of the demonstrations.
 
         Raises:
             CheckpointError: An input is missing or has another shape than the policy was made for.
@@ -259,9 +280,11 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
                 skill, subgoal = override(rows, skill, subgoal)
             rollout.decide(due, skill, subgoal, self.config.meta_period)
         proprio = self.proprioception(state, rollout.history)
-        actions, ending = self.skills(rollout.skill, images, rollout.subgoal, proprio)
+        output, ending = self.skills(rollout.skill, images, rollout.subgoal, proprio)
         ended = ending > 0 if self.config.termination else torch.ones_like(due)
-        return rollout.advance(reading, actions, ended, self.config.ensemble_decay)
+        # Averaged before they are decoded: the mean of two values is none of them, the mean of their probabilities is.
+        expected = rollout.advance(reading, self.actions.expected(output), ended, self.config.ensemble_decay)
+        return self.actions.decode(expected)
 
     def _lay_out_for_acting(self, acting: bool) -> None:
         # Not before the first action: optimisers and data parallelism take the order in which they find the weights.
@@ -326,21 +349,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             encoder.compile(dynamic=True)  # a skill's share of a batch changes from step to step
 
     def _inputs(self, batch: dict[str, Any]) -> tuple[Tensor, Tensor, Tensor]:
-        """Checks a batch; returns images ``(B, C, H, W)`` of network size, state ``(B, D)`` and tasks ``(B,)``."""
-        missing = [key for key in self.config.input_features if key not in batch]
-        if missing:
-            known = sorted(key for key in batch if key.startswith("observation"))
-            raise CheckpointError(f"The policy needs {missing}, which the observation lacks. It has {known}.")
-        for key, feature in self.config.input_features.items():
-            expected, given = tuple(feature.shape), tuple(batch[key].shape[1:])
-            if expected != given:
-                raise CheckpointError(f"{key}: the policy was made for shape {expected}, the observation has {given}.")
-        check_observation(self.config, batch)
-        scaled = [scale_images(batch[key], self.config.image_shape) for key in self.config.cameras]
-        images = torch.cat(scaled, dim=1).contiguous(memory_format=torch.channels_last)
-        state = batch[STATE] if STATE in self.config.input_features else images.new_zeros(len(images), 0)
-        tasks = [task_number(self.config, task) for task in batch.get("task") or [""] * len(images)]
-        return images, state, torch.tensor(tasks, device=images.device)
+        return read_inputs(self.config, batch)
 
     def _seen_by_meta(self, images: Tensor) -> Tensor:
         return images[:, : self.config.meta_channels]

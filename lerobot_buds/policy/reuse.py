@@ -11,11 +11,12 @@ from torch import Tensor, nn
 from lerobot_buds.core import CheckpointError
 from lerobot_buds.data import download
 
+from .actions import keep_older_actions
 from .configuration_buds import LIBRARY_FIELDS, BudsConfig
 
 logger = logging.getLogger(__name__)
 
-PARTS = ("skills", "proprioception")
+PARTS = ("skills", "proprioception", "actions")
 """Modules of a policy that make up its skills."""
 
 _CONFIG, _WEIGHTS = "config.json", "model.safetensors"
@@ -57,6 +58,7 @@ class TrainedSkills:
             raise CheckpointError(f"{name} holds no readable policy ({type(error).__name__}: {error}).") from error
         if not isinstance(config, BudsConfig) or not config.has_subgoals:
             raise CheckpointError(f"{name} holds a policy of type {config.type!r} without skills to take over.")
+        keep_older_actions(config)
         return cls(name, config, tensors)
 
     def adopt(self, config: BudsConfig) -> None:

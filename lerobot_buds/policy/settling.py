@@ -1,10 +1,12 @@
 """Settles a configuration on the dataset the policy is built for, and refuses what does not fit together."""
 
 import logging
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.utils.feature_utils import dataset_to_policy_features
 
 from lerobot_buds.core import (
@@ -12,13 +14,14 @@ from lerobot_buds.core import (
     STATE,
     CheckpointError,
     ConfigError,
+    dims_used,
     near_names,
-    select_dims,
+    same_rate,
 )
 from lerobot_buds.data import read_collection
 from lerobot_buds.segmentation import load_labels
 
-from .configuration_buds import PAPER_FPS, BudsConfig
+from .configuration_buds import PAPER_FPS, BudsConfig, refuse_other_images
 
 logger = logging.getLogger(__name__)
 
@@ -27,19 +30,21 @@ _OTHER_LABELS = (
 )
 
 
-def settle_on_dataset(config: BudsConfig, meta: Any) -> None:
+def settle_on_dataset(config: BudsConfig, meta: Any, may_be_renamed: bool = False) -> None:
     """Fills the configuration's open fields from a segmented dataset, and checks those that a checkpoint has filled.
 
     Args:
         config: Changed in place; LeRobot saves this very object with the checkpoint.
         meta: LeRobot's dataset metadata.
+        may_be_renamed: The dataset may have other names for cameras, which ``--rename_map`` translates in the batches.
 
     Raises:
         SegmentationError: The policy has skills as labelled, and the dataset has no valid labels.
         CheckpointError: Number of skills, labels, frame rate, cameras or state differ from what the configuration says.
         ConfigError: The dataset has tasks that the configuration does not know.
     """
-    _check_features(config, meta)
+    _check_features(config, meta, may_be_renamed)
+    _check_depth(config, meta)
     if config.skills == "segments":
         record, _, _ = load_labels(meta.root)
         config.n_skills = _agree("n_skills", config.n_skills, int(record.n_skills), meta.root)
@@ -48,7 +53,9 @@ def settle_on_dataset(config: BudsConfig, meta: Any) -> None:
             config.segmentation = _agree("segmentation", config.segmentation, labels, meta.root, _OTHER_LABELS)
     else:
         config.n_skills = _agree("n_skills", config.n_skills, 1, meta.root)
-    config.fps = _agree("fps", config.fps, int(meta.fps), meta.root)
+    fps = float(meta.fps)
+    if config.fps is None or not same_rate(config.fps, fps):
+        config.fps = _agree("fps", config.fps, fps, meta.root)
     if (profile := read_collection(Path(meta.root)).get("render_profile")) is not None:
         config.render_profile = _agree("render_profile", config.render_profile, profile, meta.root)
     names = state_names(meta.features)
@@ -65,31 +72,34 @@ def settle_without_dataset(config: BudsConfig) -> None:
     if config.n_skills is None or config.fps is None:
         logger.warning("Policy 'buds' was built without a dataset: it is untrained, has one skill and assumes 20 Hz.")
     config.n_skills = config.n_skills or 1
-    config.fps = config.fps or PAPER_FPS
+    config.fps = config.fps or float(PAPER_FPS)
     settle_state(config)
 
 
 def settle_state(config: BudsConfig) -> None:
-    """Chooses the dimensions of the state by their names, where that has not been done.
-
-    Where no name matches `current_state`, or there are no names, all dimensions are read now and none is remembered.
+    """Chooses the dimensions of the state, where that has not been done, and says which they are.
 
     Args:
         config: Changed in place.
 
     Raises:
-        ConfigError: A given dimension is outside the state.
+        ConfigError: A pattern matches nothing, or a given dimension is outside the state.
     """
-    if config.current_dims is None or config.history_dims is None:
-        current = select_dims(config.state_names, config.current_state)
-        history = select_dims(config.state_names, config.history_state)
-        if not current and config.state_size:
-            current, history = list(range(config.state_size)), []
-            logger.warning("No state dimension matches %s; the skills read all of them.", config.current_state)
-        config.current_dims, config.history_dims = current, history
-    outside = [d for d in config.current_dims + config.history_dims if not 0 <= d < config.state_size]
-    if outside:
+    names = config.state_names or [str(d) for d in range(config.state_size)]
+    if config.current_dims is None:
+        config.current_dims = dims_used("current_state", names, config.current_state, ours=["joint*"])
+    if config.history_dims is None:
+        config.history_dims = dims_used("history_state", names, config.history_state, ours=["gripper*"], others=[])
+    used = {*config.current_dims, *config.history_dims}
+    if outside := [d for d in used if not 0 <= d < config.state_size]:
         raise ConfigError(f"State dimensions {outside} do not exist: the state has {config.state_size}.")
+    logger.info(
+        "Of the state, the skills read %s now, %s of the last %g s, and do not read %s.",
+        [names[d] for d in config.current_dims],
+        [names[d] for d in config.history_dims],
+        config.gripper_history_s,
+        [name for d, name in enumerate(names) if d not in used],
+    )
 
 
 def state_names(features: dict[str, Any]) -> list[str]:
@@ -158,10 +168,10 @@ def check_environment(config: BudsConfig, rate: float | None, profile: str | Non
     Raises:
         CheckpointError: Rates or profiles differ; both are named.
     """
-    if rate is not None and config.fps is not None and round(rate) != config.fps:
+    if rate is not None and config.fps is not None and not same_rate(rate, config.fps):
         raise CheckpointError(
-            f"The policy was trained at {config.fps} frames a second, the environment runs at {rate:g} control steps. "
-            "Actions of one rate mean nothing at another."
+            f"The policy was trained at {config.fps:g} frames a second, the environment runs at {rate:g} control "
+            "steps. Actions of one rate mean nothing at another."
         )
     if profile is not None and config.render_profile is not None and profile != config.render_profile:
         raise CheckpointError(
@@ -170,15 +180,31 @@ def check_environment(config: BudsConfig, rate: float | None, profile: str | Non
         )
 
 
-def _check_features(config: BudsConfig, meta: Any) -> None:
+def _check_features(config: BudsConfig, meta: Any, may_be_renamed: bool) -> None:
     stored = dataset_to_policy_features(meta.features)
     missing = [key for key in config.input_features if key not in stored]
-    if missing:
+    if missing and not (may_be_renamed and _could_be_renamed(config, missing, stored)):
         raise CheckpointError(f"The policy needs {missing}, which {meta.root} lacks. It has {sorted(stored)}.")
     for key, feature in config.input_features.items():
-        expected, found = tuple(feature.shape), tuple(stored[key].shape)
+        expected, found = tuple(feature.shape), tuple(stored.get(key, feature).shape)
         if expected != found:
             raise CheckpointError(f"{key}: the policy was made for shape {expected}, {meta.root} has {found}.")
+    if missing:
+        logger.info("%s lacks %s: other cameras are expected to bear these names in the batches.", meta.root, missing)
+
+
+def _could_be_renamed(config: BudsConfig, missing: list[str], stored: Mapping[str, PolicyFeature]) -> bool:
+    """Tells whether a dataset has as many cameras to spare, shape by shape, as are missing by name."""
+    images = config.image_features
+    if not set(missing) <= set(images):
+        return False
+    spare = [f for key, f in stored.items() if f.type is FeatureType.VISUAL and key not in images]
+    return Counter(tuple(images[key].shape) for key in missing) <= Counter(tuple(f.shape) for f in spare)
+
+
+def _check_depth(config: BudsConfig, meta: Any) -> None:
+    images = config.image_features  # LeRobot hands depth maps over with one channel, whatever number was declared
+    refuse_other_images(images, [key for key in images if key in meta.depth_keys])
 
 
 def _agree[T](name: str, configured: T | None, stored: T, root: Any, remedy: str = "") -> T:

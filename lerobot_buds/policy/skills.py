@@ -33,7 +33,7 @@ class SkillPolicy(nn.Module):
         self.head = make_mlp([inputs, *config.head_widths, outputs])
 
     def forward(self, images: Tensor, subgoal: Tensor, proprio: Tensor) -> tuple[Tensor, Tensor]:
-        """Computes actions.
+        """Computes what `ActionCoding` makes actions of.
 
         Args:
             images: ``(B, C, H, W)`` all cameras stacked, in [0, 1], or maps of the trunk where that is shared.
@@ -41,12 +41,12 @@ class SkillPolicy(nn.Module):
             proprio: ``(B, P)`` standardised proprioception.
 
         Returns:
-            ``(B, n, A)`` the next n actions, in [-1, 1], and ``(B,)`` the logits that the skill is about to end, all 0
-            where that is not learned.
+            ``(B, n, A)`` outputs for the next n actions, and ``(B,)`` the logits that the skill is about to end, all
+            0 where that is not learned.
         """
         output = self.head(torch.cat([self.image_encoder(images), subgoal, proprio], dim=1))
         ending = output[:, -1] if self.termination else output.new_zeros(len(output))
-        return torch.tanh(output[:, : self.chunk[0] * self.chunk[1]]).view(-1, *self.chunk), ending
+        return output[:, : self.chunk[0] * self.chunk[1]].reshape(-1, *self.chunk), ending
 
 
 class SkillLibrary(nn.Module):
@@ -59,7 +59,7 @@ class SkillLibrary(nn.Module):
     def __init__(self, config: BudsConfig) -> None:
         super().__init__()
         image_channels = sum(feature.shape[0] for feature in config.image_features.values())
-        goal_channels = config.image_features[config.cameras[0]].shape[0]
+        goal_channels = config.image_features[config.stacked_cameras[0]].shape[0]
         self.image_trunk: nn.Module = nn.Identity()
         self.goal_trunk: nn.Module = nn.Identity()
 
@@ -78,15 +78,15 @@ class SkillLibrary(nn.Module):
         self.uses_batch_statistics = config.norm == "batch"
 
     def forward(self, skill: Tensor, images: Tensor, subgoal: Tensor, proprio: Tensor) -> tuple[Tensor, Tensor]:
-        """Computes actions ``(B, n, A)`` and logits of ending ``(B,)`` as `SkillPolicy`; `skill` is ``(B,)`` int64."""
+        """Computes outputs ``(B, n, A)`` and logits of ending ``(B,)`` as `SkillPolicy`; `skill` is ``(B,)`` int64."""
         maps = self.image_trunk(images)
 
         def compute(k: int, rows: Rows) -> tuple[Tensor, Tensor]:
             result: tuple[Tensor, Tensor] = self._skill(k)(maps[rows], subgoal[rows], proprio[rows])
             return result
 
-        actions, ending = by_group(skill, compute)
-        return actions, ending
+        outputs, ending = by_group(skill, compute)
+        return outputs, ending
 
     def encode_subgoals(self, skill: Tensor, goals: Tensor) -> Tensor:
         """Encodes goal images ``(B, C, H, W)`` in [0, 1] into ``(B, subgoal_dim)``, row by row in its skill's space."""

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_buds.core import STATE, CheckpointError, DatasetError, IntArray, dimensions_used, sha256_of_json
+from lerobot_buds.core import STATE, CheckpointError, DatasetError, IntArray, dims_used, sha256_of_json
 from lerobot_buds.data import (
     AnyDataset,
     LocalDataset,
@@ -31,6 +31,9 @@ from .configuration import RepresentationConfig
 from .network import PROPRIOCEPTION
 
 logger = logging.getLogger(__name__)
+
+OURS = ("eef*", "gripper*")
+"""What is fused of the state of our own environments: end effector position and gripper fingers (released code)."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,7 @@ class Modalities:
                     f"{config.image_size}. Set image_size to at most {min(min(s) for s in sizes.values())}."
                 )
         names = tuple(dimension_names(local.features[STATE])) if with_state else ()
-        dims = tuple(dimensions_used(names, config.proprioception, "representation.proprioception"))
+        dims = tuple(dims_used("representation.proprioception", names, config.proprioception, OURS))
         logger.info("the representation uses cameras %s, and %s of the state", sizes, [names[dim] for dim in dims])
         return cls(sizes, names, dims)
 

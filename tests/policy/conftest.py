@@ -15,7 +15,7 @@ import torch
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.policies import make_policy
+from lerobot.policies import make_policy, make_pre_post_processors
 
 from lerobot_buds.core import (
     ACTION,
@@ -52,6 +52,8 @@ SMALL = {
     "meta_head_widths": [16],
     "meta_conv_feature": 8,
     "device": "cpu",
+    "current_state": ["*joint*"],
+    "history_state": ["*gripper*"],
 }
 
 torch.set_num_threads(1)
@@ -100,6 +102,40 @@ def _record(root: Path, fps: int = FPS, repeats: int = 1) -> LeRobotDatasetMetad
     dataset.finalize()
     SegmentationRecord.of_labels(episodes, repo_id=REPO_ID, fps=fps, horizon=HORIZON).write(root)
     return LeRobotDatasetMetadata(REPO_ID, root=root)
+
+
+def _record_robot(
+    root: Path,
+    states: list[np.ndarray],
+    actions: list[np.ndarray],
+    state_names: list[str] | None = None,
+    action_names: list[str] | None = None,
+    cameras: dict[str, tuple[int, int, int]] | None = None,
+    fps: float = 30,
+    task: str = TASK,
+) -> LeRobotDatasetMetadata:
+    """Writes demonstrations of any robot: an episode for each pair of ``(T, D)`` states and ``(T, A)`` actions."""
+    cameras = cameras or {"observation.images.front": (PIXELS, PIXELS, 3)}
+    vectors = {STATE: (states, state_names), ACTION: (actions, action_names)}
+    features: dict[str, dict[str, Any]] = {
+        key: {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]}
+        for key, shape in cameras.items()
+    }
+    for key, (values, names) in vectors.items():
+        features[key] = {"dtype": values[0].dtype.name, "shape": values[0].shape[1:], "names": names}
+    dataset = LeRobotDataset.create("tests/robot", fps, features, root=root, use_videos=False)
+    for episode in zip(states, actions, strict=True):
+        for t, (state, action) in enumerate(zip(*episode, strict=True)):
+            images = {key: np.full(shape, 5 * t % 256, dtype=np.uint8) for key, shape in cameras.items()}
+            dataset.add_frame({**images, STATE: state, ACTION: action, "task": task})
+        dataset.save_episode()
+    dataset.finalize()
+    return LeRobotDatasetMetadata("tests/robot", root=root)
+
+
+@pytest.fixture(scope="session")
+def record_robot() -> Callable[..., LeRobotDatasetMetadata]:
+    return _record_robot
 
 
 @pytest.fixture(scope="session")
@@ -193,3 +229,44 @@ def command() -> Callable[..., list[str]]:
         return [f"--{key}={value}" for key, value in {**options, **settings}.items()]
 
     return command
+
+
+SO101 = ["shoulder_pan.pos", "shoulder_lift.pos", "elbow_flex.pos", "wrist_flex.pos", "wrist_roll.pos", "gripper.pos"]
+
+
+@pytest.fixture(scope="session")
+def so101(tmp_path_factory: pytest.TempPathFactory) -> LeRobotDatasetMetadata:
+    """An arm as LeRobot's own: degrees, 30 Hz, two cameras, a gripper that is told 0 or 100."""
+    cameras = {f"observation.images.{name}": (16, 16, 3) for name in ("front", "wrist")}
+    rng = np.random.default_rng(0)
+    paths = []
+    for _ in range(3):
+        turns = np.linspace(0, 2 * np.pi, 30)[:, None] * rng.uniform(0.5, 2, 5) + rng.uniform(0, 6, 5)
+        joints = np.clip(1.3 * np.sin(turns), -1, 1) * [90, 60, 45, 30, 5] + [0, -40, 60, 0, 100]  # halts at the ends
+        paths.append(np.hstack([joints, 50 + 0.5 * joints[:, :1]]).astype(np.float32))
+    told = [np.hstack([path[:, :5], 100.0 * (path[:, :1] > 0)]).astype(np.float32) for path in paths]
+    return _record_robot(tmp_path_factory.mktemp("so101") / "data", paths, told, SO101, SO101, cameras, task="Pick")
+
+
+@pytest.fixture(scope="session")
+def so101_policy(so101: LeRobotDatasetMetadata, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Flat behaviour cloning of that arm, trained until it is good."""
+    torch.manual_seed(0)
+    config = {**SMALL, "skills": "flat", "head_widths": [128, 128], "optimizer_lr": 5e-3, "crop_padding": 0}
+    config |= {"current_state": None, "history_state": None}
+    policy = make_policy(BudsConfig(**config), ds_meta=so101).train()
+    optimizer = policy.config.get_optimizer_preset().build(policy.get_optim_params())
+    dataset = LeRobotDataset("tests/robot", root=so101.root)
+    batch = torch.utils.data.default_collate(list(dataset))
+    steps = 400
+    decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    for _ in range(steps):
+        loss, _ = policy(batch)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        decay.step()
+    folder = tmp_path_factory.mktemp("so101") / "policy"
+    for part in (policy, *make_pre_post_processors(policy.config, dataset_stats=so101.stats)):
+        part.save_pretrained(folder)
+    return folder

@@ -79,7 +79,7 @@ def test_options_train_are_saved_and_act(build, batch, options, tmp_path):
 def test_a_flat_policy_needs_no_segmentation_and_decides_nothing(build, batch, dataset_root, tmp_path, meta):
     policy = build(skills="flat")
     assert policy.meta_controllers is None and policy.config.segmentation is None
-    assert set(policy(batch(policy))[1]) == {"skill_loss"}
+    assert set(policy(batch(policy))[1]) == {"skill_loss", "action_error"}
     assert [group["name"] for group in policy.get_optim_params()] == ["skills"]
     observation = {k: v[:1] for k, v in batch(policy).items() if k.startswith("observation")}
     state = torch.get_rng_state()

@@ -104,6 +104,30 @@ def test_a_robot_is_told_what_the_policy_says(save, rollout):
     assert np.abs(np.diff(actions, axis=0)).max(axis=1).min() > 1e-4  # it does see that every observation is another
 
 
+def test_an_arm_of_lerobots_own_is_told_degrees(so101, so101_policy, rollout):
+    robot = rollout(
+        so101_policy,
+        **{
+            "robot.joints": so101.features[STATE]["names"],
+            "robot.actuators": so101.features[ACTION]["names"],
+            "robot.views": ["front", "wrist"],
+            "robot.pixels": 16,
+            "robot.spread": 50.0,
+            "fps": so101.fps,
+            "task": "Pick",
+        },
+    )
+    actions = actions_of(robot)
+    assert actions.shape == (STEPS, 6)
+    policy = BudsPolicy.from_pretrained(so101_policy)
+    expected = torch.cat([policy.select_action(observation_of(robot, each)) for each in robot.shown[1:]])
+    np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-3)
+    low, high = (so101.stats[ACTION][bound] for bound in ("min", "max"))
+    reach = 0.06 * (high - low)
+    assert (actions > low - reach).all() and (actions < high + reach).all() and np.abs(actions).max(axis=0).min() > 1
+    assert set(actions[:, 5]) <= {0.0, 100.0}
+
+
 def test_cameras_may_have_other_names(save, rollout):
     names = {f"{IMAGE_PREFIX}top": f"{IMAGE_PREFIX}agentview", f"{IMAGE_PREFIX}wrist": f"{IMAGE_PREFIX}eye_in_hand"}
     robot = rollout(save(), **{"robot.views": ["wrist", "top"], "rename_map": json.dumps(names)})

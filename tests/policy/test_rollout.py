@@ -191,7 +191,9 @@ def test_a_fresh_process_acts_alike(build, observe, tmp_path):
 def test_an_untrained_policy_is_built_from_an_environments_features_alone(build, small, observe):
     features = build().config
     config = type(features)(
-        **small, input_features=dict(features.input_features), output_features=dict(features.output_features)
+        **{**small, "current_state": None, "history_state": None},
+        input_features=dict(features.input_features),
+        output_features=dict(features.output_features),
     )
     policy = BudsPolicy(config)
     assert policy.config.n_skills == 1 and policy.config.current_dims == [0, 1, 2, 3, 4]

@@ -1,6 +1,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import draccus
 import pytest
@@ -10,16 +11,18 @@ from lerobot.configs import FeatureType, PolicyFeature, PreTrainedConfig
 from lerobot_buds.core import (
     ACTION,
     EYE_IN_HAND_CAMERA,
+    OUR_STATE,
     SEGMENTATION_FILE,
     STATE,
     WORKSPACE_CAMERA,
     CheckpointError,
     ConfigError,
     SegmentationError,
+    frames_of_seconds,
 )
 from lerobot_buds.envs import PROFILES
 from lerobot_buds.policy import BudsConfig
-from lerobot_buds.policy.settling import check_observation, settle_state, state_names, task_number
+from lerobot_buds.policy.settling import _check_depth, check_observation, settle_state, state_names, task_number
 
 
 def config_of(**overrides):
@@ -44,30 +47,46 @@ def test_the_dataset_fills_the_open_fields(build, task):
     assert (config.n_skills, config.fps, config.tasks) == (2, 20, [task])
     assert config.current_dims == [0, 1] and config.history_dims == [2, 3]
     assert config.history_frames == 5 and config.meta_period == 5
-    assert config.cameras == [WORKSPACE_CAMERA, EYE_IN_HAND_CAMERA]
+    assert config.stacked_cameras == [WORKSPACE_CAMERA, EYE_IN_HAND_CAMERA]
     assert set(config.input_features) == {WORKSPACE_CAMERA, EYE_IN_HAND_CAMERA, STATE}
 
 
 def test_first_camera_is_the_workspace_where_there_is_no_agent_view():
     config = config_of()
     config.validate_features()
-    assert config.cameras == ["observation.images.front", "observation.images.wrist"]
+    assert config.stacked_cameras == ["observation.images.front", "observation.images.wrist"]
     assert "observation.environment_state" not in config.input_features
 
 
+SO101 = ["shoulder_pan.pos", "shoulder_lift.pos", "gripper.pos"]
+
+
 @pytest.mark.parametrize(
-    ("names", "current", "history"),
+    ("names", "patterns", "current", "history"),
     [
-        (["joint_1", "joint_2", "gripper"], [0, 1], [2]),
-        (["shoulder", "elbow", "gripper"], [0, 1, 2], []),
-        (["joint_1", "joint_2", "eef_x"], [0, 1], []),
-        ([], [0, 1, 2], []),
+        (SO101, {}, [0, 1, 2], []),  # all of a stranger's robot, whatever they are called
+        (["joint_1", "joint_2", "gripper"], {}, [0, 1, 2], []),
+        ([], {}, [0, 1, 2], []),
+        (SO101, {"history_state": ["*gripper*"]}, [0, 1, 2], [2]),
+        (SO101, {"current_state": ["shoulder*"], "history_state": ["gripper.pos"]}, [0, 1], [2]),
+        (SO101, {"current_state": []}, [], []),  # empty is what it says
+        ([], {"current_state": ["0", "2"]}, [0, 2], []),
+        (OUR_STATE, {}, list(range(7)), [7, 8]),  # the paper's
     ],
 )
-def test_state_dimensions_by_name(names, current, history):
-    config = config_of(state_names=names)
-    settle_state(config)
+def test_state_dimensions_by_name(names, patterns, current, history, caplog):
+    features = {**config_of().input_features, STATE: PolicyFeature(type=FeatureType.STATE, shape=(len(names) or 3,))}
+    config = config_of(input_features=features, state_names=list(names), **patterns)
+    with caplog.at_level("INFO", logger="lerobot_buds"):
+        settle_state(config)
     assert (config.current_dims, config.history_dims) == (current, history)
+    unread = [name for d, name in enumerate(names or ["0", "1", "2"]) if d not in {*current, *history}]
+    assert f"do not read {unread}" in caplog.text
+
+
+def test_patterns_that_match_nothing_are_refused():
+    with pytest.raises(ConfigError, match=r"current_state: '\*joint\*' matches no dimension.*'shoulder_pan.pos'"):
+        settle_state(config_of(state_names=SO101, current_state=["*joint*", "gripper*"]))
 
 
 def test_state_names_in_all_of_lerobots_spellings():
@@ -90,6 +109,8 @@ def test_state_names_in_all_of_lerobots_spellings():
         ("meta_period_s", 0.0),
         ("kl_weight", -1.0),
         ("conv_channels", []),
+        ("fps", 0.0),
+        ("action_scaling", "bound"),
     ],
 )
 def test_impossible_values_are_refused(field, value):
@@ -110,6 +131,34 @@ def test_impossible_values_are_refused(field, value):
 def test_features_that_do_not_fit_are_refused(overrides, message):
     with pytest.raises(ConfigError, match=message):
         config_of(**overrides).validate_features()
+
+
+@pytest.mark.parametrize(("shape", "depth"), [((1, 96, 128), False), ((4, 96, 128), False), ((3, 96, 128), True)])
+def test_images_that_are_not_rgb_are_left_out_by_name_or_refused(shape, depth):
+    """Depth maps (of one channel, or declared with three), grey and RGBA images."""
+    other = "observation.images.other"
+
+    def settle(**overrides):
+        features = {**config_of().input_features, other: PolicyFeature(type=FeatureType.VISUAL, shape=shape)}
+        config = config_of(input_features=features, image_size=64, **overrides)
+        config.validate_features()
+        _check_depth(config, SimpleNamespace(depth_keys=[other] if depth else []))
+        return config
+
+    message = r"RGB.*observation.images.other.*cameras='\[observation.images.front, observation.images.wrist\]'"
+    with pytest.raises(ConfigError, match=message):
+        settle()
+    with pytest.raises(ConfigError, match="no RGB camera"):
+        settle(cameras=[other])
+    config = settle(cameras=["observation.images.wrist"])
+    assert config.stacked_cameras == ["observation.images.wrist"] and other not in config.input_features
+
+
+def test_cameras_are_named_as_they_are():
+    with pytest.raises(ConfigError, match=r"Did you mean 'observation\.images\.wrist'"):
+        config_of(cameras=["observation.images.wirst"]).validate_features()
+    with pytest.raises(ConfigError, match="at least one camera"):
+        config_of(cameras=[]).validate_features()
 
 
 def test_cameras_of_different_shapes_need_an_image_size():
@@ -204,3 +253,29 @@ def test_an_environment_of_another_rate_is_refused():
     check_observation(config_of(), {"observation.control_rate": torch.tensor([[20.0]])})
     with pytest.raises(CheckpointError, match=r"at 10 frames a second.*at 20 control steps"):
         check_observation(config_of(fps=10), {"observation.control_rate": torch.tensor([[20.0]])})
+
+
+@pytest.mark.parametrize("fps", [29.97, 12.5])
+def test_rates_are_no_integers(fps):
+    config = draccus.decode(PreTrainedConfig, {**draccus.encode(config_of(fps=fps), PreTrainedConfig)})
+    assert config.fps == fps and config.meta_period == frames_of_seconds(0.25, fps)
+
+    def run_at(rate):
+        return check_observation(config, {"observation.control_rate": torch.tensor([[rate]])})
+
+    run_at(fps)  # as float32
+    with pytest.raises(CheckpointError, match=f"at {fps} frames.*at 30 control"):
+        run_at(30.0)
+
+
+def test_checkpoints_with_whole_rates_are_read():
+    stored = {**draccus.encode(config_of(), PreTrainedConfig), "fps": 20}
+    assert draccus.decode(PreTrainedConfig, stored).fps == 20
+
+
+def test_the_rate_of_a_dataset_is_compared_with_a_tolerance(build, meta, monkeypatch):
+    monkeypatch.setattr(meta.info, "fps", 29.97)
+    assert build().config.fps == 29.97
+    assert build(fps=30000 / 1001).config.fps == 30000 / 1001
+    with pytest.raises(CheckpointError, match=r"fps=30.*has 29.97"):
+        build(fps=30)

@@ -20,6 +20,7 @@ class SimulatedArmConfig(RobotConfig):
         pixels: Height and width of an image.
         steps: Actions after which the user presses Ctrl-C.
         still: Whether it always observes the same.
+        spread: Standard deviation of what it measures, in its unit.
     """
 
     joints: list[str]
@@ -28,6 +29,7 @@ class SimulatedArmConfig(RobotConfig):
     pixels: int
     steps: int
     still: bool = False
+    spread: float = 1.0
 
 
 class SimulatedArm(Robot):
@@ -71,7 +73,7 @@ class SimulatedArm(Robot):
 
     def get_observation(self) -> dict[str, Any]:
         rng = np.random.default_rng(0 if self.config.still else len(self.shown))
-        joints = {name: float(rng.normal()) for name in self.config.joints}
+        joints = {name: float(self.config.spread * rng.normal()) for name in self.config.joints}
         shape = (self.config.pixels, self.config.pixels, 3)
         images = {name: rng.integers(0, 256, shape).astype(np.uint8) for name in self.config.views}
         self.shown.append({**joints, **images})
