@@ -4,7 +4,6 @@ LeRobot logs and then ignores a plugin that cannot be imported; what its user se
 Here the plugin is imported last and nothing is swallowed: a fault inside it ends in its own traceback.
 """
 
-import os
 import shutil
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -20,13 +19,17 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from lerobot_buds.core import SimulatorError
+from lerobot_buds.envs import EnvSettings, RobosuiteEnv
 from lerobot_buds.envs.loading import ROBOSUITE_VERSION
+from lerobot_buds.envs.remedies import CannotStartError, backend
 
 DISTRIBUTION = "lerobot_policy_buds"
 """The installed name, and the module that LeRobot imports because of it; a dashed name would not be discovered."""
 
 ROBOSUITE = f"robosuite=={ROBOSUITE_VERSION}"
 """Not among the distribution's requirements, since it has to be installed without its own (see docs/install.md)."""
+
+_TASK = "hammer_place"  # any will do
 
 LOW_DISK, NO_DISK = 10 * 2**30, 2**30
 """Free bytes under which a warning is given, and under which a run cannot be expected to finish (ours)."""
@@ -67,7 +70,7 @@ class Installation:
         load: Imports a module by name.
         registered: Lists the policy types and the environment types that LeRobot knows; called once the plugin is
             imported.
-        render: Draws one ``(H, W, 3)`` uint8 frame in the simulator.
+        render: Resets a task and draws one ``(H, W, 3)`` uint8 frame of it.
     """
 
     plugins: Collection[str]
@@ -104,16 +107,19 @@ def check_simulator(installation: Installation) -> Finding:
 
 
 def check_rendering(installation: Installation) -> Finding:
-    """Can the simulator draw a frame without a display?"""
-    if "mujoco" not in installation.versions:
+    """Can a task be reset and drawn without a display, in the way that every command does it?"""
+    if not {"mujoco", "robosuite"} <= set(installation.versions):
         return Finding("rendering", "ok", "not tried: the simulator is not installed")
     try:
         frame = installation.render()
+    except CannotStartError as error:
+        return Finding("rendering", "FAIL", error.cause, error.remedy)
     except SimulatorError as error:
-        remedy = "apt-get install libegl1 libgl1-mesa-dri libopengl0, or set MUJOCO_GL=osmesa and install libosmesa6"
-        return Finding("rendering", "FAIL", str(error), remedy)
+        return Finding("rendering", "FAIL", str(error), "see docs/install.md")
+    if not frame.any():
+        return Finding("rendering", "FAIL", f"nothing but black, with MUJOCO_GL={backend()}", "see docs/install.md")
     height, width = frame.shape[:2]
-    return Finding("rendering", "ok", f"drew {height}x{width} pixels with MUJOCO_GL={os.environ.get('MUJOCO_GL')}")
+    return Finding("rendering", "ok", f"drew {height}x{width} pixels with MUJOCO_GL={backend()}")
 
 
 def check_decoder(installation: Installation) -> Finding:
@@ -250,6 +256,9 @@ def _registered() -> tuple[Collection[str], Collection[str]]:
 
 
 def _render() -> NDArray[np.uint8]:
-    from ..envs.simulation.probe import render_frame
-
-    return render_frame()
+    env = RobosuiteEnv(EnvSettings(_TASK, image_size=64))
+    try:
+        frame: NDArray[np.uint8] = env.reset(seed=0)[0]["pixels"]["agentview"]
+    finally:
+        env.close()
+    return frame
