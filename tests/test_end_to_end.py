@@ -20,7 +20,7 @@ from lerobot_buds.core import (
     read_json,
     sha256_of_file,
 )
-from lerobot_buds.data import DatasetFiles
+from lerobot_buds.data import LocalDataset
 from lerobot_buds.envs import TASKS
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
@@ -111,7 +111,7 @@ def evaluation(training, folder) -> Path:
 
 
 def test_skills_are_written_beside_the_demonstrations(demonstrations, skills, folder):
-    before, after = DatasetFiles(demonstrations).features, DatasetFiles(skills).features
+    before, after = LocalDataset(demonstrations).features, LocalDataset(skills).features
     assert set(after) - set(before) == {SKILL_ID, SUBGOAL_INDEX}
     record = read_json(skills / SEGMENTATION_FILE)
     assert len(record["episodes"]) == 4

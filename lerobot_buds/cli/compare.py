@@ -11,11 +11,11 @@ from lerobot_buds.core import (
     ConfigError,
     DatasetError,
     FloatArray,
+    dimensions_used,
     remove_leftovers,
-    select_dims,
     write_json,
 )
-from lerobot_buds.data import DatasetFiles, check_demonstrations, dimension_names, only_writer, read_table
+from lerobot_buds.data import LocalDataset, check_demonstrations, dimension_names, only_writer, read_table
 from lerobot_buds.evaluation import (
     METHODS,
     Demonstrations,
@@ -25,22 +25,16 @@ from lerobot_buds.evaluation import (
     comparison_table,
     draw_comparison,
 )
-from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
+from lerobot_buds.representation import Modalities, RepresentationConfig, encode_dataset, train_representation
 from lerobot_buds.segmentation import DiscoveryConfig
 
+from .datasets import DatasetOptions, true_stages
 from .running import parse, run
-from .segment import local_root, true_stages
 
 
 @dataclass
-class CompareConfig:
-    """Settings of a comparison."""
-
-    repo_id: str
-    """The dataset; it needs the column ``true_stage``, as scripted demonstrations have it."""
-
-    root: str | None = None
-    """Its folder; None for LeRobot's own place for `repo_id`."""
+class CompareConfig(DatasetOptions):
+    """Settings of a comparison; the dataset needs the column ``true_stage``, as scripted demonstrations have it."""
 
     work_dir: str | None = None
     """Keeps the representations and the results; None for ``outputs/compare/`` and the dataset's name."""
@@ -75,21 +69,21 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
     """
     if config.seeds < 1:
         raise ConfigError(f"seeds={config.seeds} cannot work; it must be at least 1.")
-    root = local_root(config.repo_id, config.root)
-    files = DatasetFiles(root)
-    if TRUE_STAGE not in files.features:
-        raise DatasetError(f"{root} has no column {TRUE_STAGE!r}, so that no segmentation can be scored against it.")
-    check_demonstrations(root, cameras=config.representation.cameras)
-    signals = {name: _signal(root, getattr(config, name)) for name in ("position", "gripper")}
+    dataset = config.open()
+    if TRUE_STAGE not in dataset.features:
+        raise DatasetError(f"{dataset.root} has no column {TRUE_STAGE!r}: no segmentation can be scored.")
+    modalities = Modalities.select(dataset, config.representation)
+    check_demonstrations(dataset, list(modalities.cameras), side=config.representation.side)
+    signals = {name: _signal(dataset, getattr(config, name), name) for name in ("position", "gripper")}
     gripper = [np.abs(fingers).mean(axis=1) for fingers in signals["gripper"]]
-    stages, fps = true_stages(root), float(files.info["fps"])
+    stages, fps = true_stages(dataset), dataset.fps
     results: list[Result] = []
     with only_writer(work_dir):
         for seed in range(config.seeds):
             settings, folder = replace(config.representation, seed=seed), work_dir / f"representation_{seed}"
             remove_leftovers(folder)
-            representation = train_representation(root, settings, folder)
-            latents = encode_dataset(root, representation)
+            representation = train_representation(dataset, settings, folder)
+            latents = encode_dataset(dataset, representation)
             fused = [episode[:, : episode.shape[1] - representation.dims_beside] for episode in latents]
             data = Demonstrations(latents, fused, stages, signals["position"], gripper, fps)
             results += compare(data, config.discovery, seed, config.methods)
@@ -99,14 +93,11 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
     return results
 
 
-def _signal(root: Path, patterns: list[str]) -> list[FloatArray]:
+def _signal(dataset: LocalDataset, patterns: list[str], setting: str) -> list[FloatArray]:
     """Reads the dimensions of the state that match, ``(T, d)`` per demonstration."""
-    names = dimension_names(DatasetFiles(root).features[STATE])
-    dims = select_dims(names, patterns)
-    if not dims:
-        raise ConfigError(f"No dimension of {STATE} matches {patterns}; it has {list(names)}.")
-    table = read_table(root, [STATE])
-    state = table.columns[STATE][:, dims].astype(np.float64)
+    dims = dimensions_used(dimension_names(dataset.features[STATE]), patterns, setting)
+    table = read_table(dataset, [STATE])
+    state = table.columns[STATE].reshape(len(table.present), -1)[:, dims].astype(np.float64)
     return [state[start:end] for start, end in zip(table.starts, table.ends, strict=True)]
 
 

@@ -6,12 +6,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from lerobot_buds.core import ACTION, STATE, TRUE_STAGE, ConfigError, IntArray, frames_of_seconds, remove_leftovers
-from lerobot_buds.data import DatasetFiles, check_demonstrations, only_writer, read_table
+from lerobot_buds.data import LocalDataset, check_demonstrations, only_writer
 from lerobot_buds.evaluation import agreement
 from lerobot_buds.representation import (
+    Modalities,
     Representation,
     RepresentationConfig,
     draw_reconstructions,
+    encode_dataset,
     is_main_process,
     train_representation,
 )
@@ -28,23 +30,18 @@ from lerobot_buds.segmentation import (
     write_segmented_dataset,
 )
 
+from .datasets import DatasetOptions, true_stages
 from .running import dataset_root, parse, run
 
 logger = logging.getLogger(__name__)
 
 
 @dataclass
-class SegmentConfig:
+class SegmentConfig(DatasetOptions):
     """Settings of a segmentation pass."""
 
-    repo_id: str
-    """The dataset to segment; it is only read."""
-
-    root: str | None = None
-    """Its folder; None for LeRobot's own place for `repo_id`, where it is downloaded if it is missing."""
-
     output_repo_id: str | None = None
-    """Name of the labelled copy; None for `repo_id` with ``_skills`` behind it."""
+    """Name of the labelled copy of the chosen episodes; None for `repo_id` with ``_skills`` behind it."""
 
     output_root: str | None = None
     """Its folder, which must not exist; None for LeRobot's own place for its name."""
@@ -87,36 +84,45 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
         ConfigError: A setting cannot work.
         CheckpointError: The representation or the library cannot be had, or does not fit the dataset.
     """
-    root = local_root(config.repo_id, config.root)
+    dataset = config.open()
     output_repo_id = config.output_repo_id or f"{config.repo_id}_skills"
     work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
     output = dataset_root(output_repo_id, config.output_root)
     if not is_main_process(config.representation):
-        if config.library is None and config.representation_path is None:
-            train_representation(root, config.representation, work_dir / "representation")
+        _take_share(config, dataset, work_dir)
         return None
-    _check(config, root, output, work_dir)
+    _check(config, dataset, output, work_dir)
     with only_writer(work_dir):
         for folder in (work_dir, work_dir / "representation"):
             remove_leftovers(folder)
-        found = _discover(config, root, work_dir)
-        files = DatasetFiles(root)
-        stages = true_stages(root) if TRUE_STAGE in files.features else None
-        record = _record(config, files.fps, found, stages)
-        _draw(record, found, root, work_dir, stages)
-        write_segmented_dataset(root, output, output_repo_id, record, found.model)
+        found = _discover(config, dataset, work_dir)
+        stages = true_stages(dataset) if TRUE_STAGE in dataset.features else None
+        record = _record(config, dataset, found, stages)
+        _draw(record, found, dataset, work_dir, stages)
+        write_segmented_dataset(dataset, output, output_repo_id, record, found.model)
     logger.info("Pictures are in %s.", work_dir)
     return record
 
 
-def _check(config: SegmentConfig, root: Path, output: Path, work_dir: Path) -> None:
+def _take_share(config: SegmentConfig, dataset: LocalDataset, work_dir: Path) -> None:
+    """Helps the first process of ``accelerate launch`` with training and encoding."""
+    if config.library is not None:
+        representation = SkillModel.from_pretrained(config.library).representation
+    elif config.representation_path is not None:
+        representation = Representation.from_pretrained(config.representation_path)
+    else:
+        representation = train_representation(dataset, config.representation, work_dir / "representation")
+    encode_dataset(dataset, representation)
+
+
+def _check(config: SegmentConfig, dataset: LocalDataset, output: Path, work_dir: Path) -> None:
     """Refuses what cannot work, what takes least time to find out first."""
     if not config.subgoal_horizon_s > 0:
         raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
     if config.grow and config.library is None:
         raise ConfigError("grow=true opens new skills beside those of a library, but there is no library.")
-    if work_dir.resolve().is_relative_to(root.resolve()):
-        raise ConfigError(f"work_dir={work_dir} lies in {root}, which is only read; choose a folder outside.")
+    if work_dir.resolve().is_relative_to(dataset.root.resolve()):
+        raise ConfigError(f"work_dir={work_dir} lies in {dataset.root}, which is only read; choose a folder outside.")
     for name, place, unused in (
         ("library", config.library, ("representation", "discovery", "representation_path", "preset")),
         ("representation_path", config.representation_path, ("representation",)),
@@ -127,42 +133,44 @@ def _check(config: SegmentConfig, root: Path, output: Path, work_dir: Path) -> N
                 f"{name}={place!r} is used as it is, so that the settings {changed} have no effect: leave out either "
                 "it or them (also in the settings file)."
             )
-    files = DatasetFiles(root)
-    _discovery(config).build(files.fps).check([int(episode["length"]) for episode in files.episodes])
-    check_target(root, output)
+    _discovery(config).build(dataset.fps).check([int(episode["length"]) for episode in dataset.episodes])
+    check_target(dataset, output)
 
 
-def _discover(config: SegmentConfig, root: Path, work_dir: Path) -> DiscoveredSkills:
+def _discover(config: SegmentConfig, dataset: LocalDataset, work_dir: Path) -> DiscoveredSkills:
     """Labels the demonstrations with the skills of a library, or with those that are found in them."""
     if config.library is not None:
         model = SkillModel.from_pretrained(config.library)
-        _check_representation(root, model.representation)
-        return model.label(root, config.grow)
+        _check_representation(dataset, model.representation)
+        return model.label(dataset, config.grow)
     if config.representation_path is not None:
         representation = Representation.from_pretrained(config.representation_path)
-        _check_representation(root, representation)
-        return discover_skills(root, representation, _discovery(config))
-    _check_data(root, config.representation.cameras, bool(config.representation.proprioception))
-    return discover_skills(root, config.representation, _discovery(config), work_dir)
+        _check_representation(dataset, representation)
+        return discover_skills(dataset, representation, _discovery(config))
+    modalities = Modalities.select(dataset, config.representation)
+    _check_data(dataset, modalities, config.representation)
+    return discover_skills(dataset, config.representation, _discovery(config), work_dir)
 
 
 def _discovery(config: SegmentConfig) -> DiscoveryConfig:
     return preset(config.preset, config.discovery)
 
 
-def _check_representation(root: Path, representation: Representation) -> None:
-    _check_data(root, list(representation.modalities.cameras), bool(representation.modalities.state_dims))
+def _check_representation(dataset: LocalDataset, representation: Representation) -> None:
+    representation.modalities.require_same(dataset)
+    _check_data(dataset, representation.modalities, representation.config)
 
 
-def _check_data(root: Path, cameras: list[str] | None, with_state: bool) -> None:
+def _check_data(dataset: LocalDataset, modalities: Modalities, config: RepresentationConfig) -> None:
     # The actions are not used here, but the policy that learns from the result needs them.
-    check_demonstrations(root, cameras, [STATE, ACTION] if with_state else [ACTION])
+    columns = [STATE, ACTION] if modalities.state_dims else [ACTION]
+    check_demonstrations(dataset, list(modalities.cameras), columns, side=config.side)
 
 
 def _record(
-    config: SegmentConfig, fps: int, found: DiscoveredSkills, stages: list[IntArray] | None
+    config: SegmentConfig, dataset: LocalDataset, found: DiscoveredSkills, stages: list[IntArray] | None
 ) -> SegmentationRecord:
-    model = found.model
+    model, fps = found.model, dataset.fps
     library = config.library and {"name": config.library, "grown": config.grow, "lineage": list(model.lineage)}
     return SegmentationRecord.of_labels(
         found.labels,
@@ -180,10 +188,14 @@ def _record(
 
 
 def _draw(
-    record: SegmentationRecord, found: DiscoveredSkills, root: Path, work_dir: Path, stages: list[IntArray] | None
+    record: SegmentationRecord,
+    found: DiscoveredSkills,
+    dataset: LocalDataset,
+    work_dir: Path,
+    stages: list[IntArray] | None,
 ) -> None:
     if found.model.representation.draws:
-        draw_reconstructions(root, found.model.representation, work_dir / "reconstructions.png")
+        draw_reconstructions(dataset, found.model.representation, work_dir / "reconstructions.png")
     title = f"{record.source.repo_id}: {record.n_skills} skills in {len(record.episodes)} demonstrations"
     if record.agreement:
         title += f"\n{_in_words(record.agreement)} against the true stages"
@@ -203,23 +215,6 @@ def main() -> None:
         print(f"  skill {number}: {skill['segments']:.0f} segments of {skill['mean_seconds']:.1f} s on average")
     if record.agreement:
         print("  agreement with the true stages: " + _in_words(record.agreement))
-
-
-def local_root(repo_id: str, root: str | None) -> Path:
-    """Tells where a dataset lies on this machine, after downloading it where it is missing and has no folder given."""
-    place = dataset_root(repo_id, root)
-    if not (place / "meta" / "info.json").exists() and root is None:
-        from lerobot.datasets import LeRobotDataset
-
-        place = Path(LeRobotDataset(repo_id).root)
-    return place
-
-
-def true_stages(root: Path) -> list[IntArray]:
-    """Reads the true stage of every frame, ``(T,)`` per demonstration."""
-    table = read_table(root, [TRUE_STAGE])
-    column = table.columns[TRUE_STAGE]
-    return [column[start:end] for start, end in zip(table.starts, table.ends, strict=True)]
 
 
 def _in_words(scores: Mapping[str, float]) -> str:

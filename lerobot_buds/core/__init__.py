@@ -36,6 +36,7 @@ from .names import (
     SUBGOAL_INDEX,
     TRUE_STAGE,
     WORKSPACE_CAMERA,
+    dimensions_used,
     frames_of_seconds,
     select_dims,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "SegmentationError",
     "SimulatorError",
     "StorageError",
+    "dimensions_used",
     "frames_of_seconds",
     "labels_of",
     "lengths_by_label",

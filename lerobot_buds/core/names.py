@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
+from .errors import ConfigError
+
 SKILL_ID = "skill_id"
 """int64 column: the skill of a frame, in ``[0, n_skills)``."""
 
@@ -41,6 +43,32 @@ def select_dims(names: Sequence[str], patterns: Sequence[str]) -> list[int]:
         The matching dimensions in ascending order; empty where nothing matches.
     """
     return [i for i, name in enumerate(names) if any(fnmatchcase(name, p) for p in patterns)]
+
+
+def dimensions_used(names: Sequence[str], patterns: Sequence[str] | None, setting: str) -> list[int]:
+    """Settles which dimensions of a robot's vector are used: all of them, unless a user names some.
+
+    No pattern is a default: one that fits our robot may match a part of somebody else's, in silence.
+
+    Args:
+        names: One name per dimension.
+        patterns: Shell-style patterns; None for all dimensions, none of them where empty.
+        setting: The setting that holds the patterns, for the message.
+
+    Returns:
+        Dimensions in ascending order.
+
+    Raises:
+        ConfigError: A pattern matches nothing.
+    """
+    if patterns is None:
+        return list(range(len(names)))
+    idle = [pattern for pattern in patterns if not select_dims(names, [pattern])]
+    if idle:
+        raise ConfigError(
+            f"{setting}: {idle} match none of the dimensions {list(names)}. Name others, or leave it out."
+        )
+    return select_dims(names, patterns)
 
 
 def frames_of_seconds(seconds: float, fps: float) -> int:

@@ -1,17 +1,26 @@
 """LeRobotDatasets on this machine: reading, checking, decoding, caching, writing and moving them."""
 
+from .cameras import chosen_cameras, frame_size, used_size
 from .checks import check_demonstrations, dimension_names, require_finite, require_videos, require_whole
 from .collection import read_collection
-from .frames import cached_frames, frame_size, frames_key
+from .dataset import AnyDataset, LocalDataset
+from .frames import cached_frames, frames_key
 from .hub import download, upload
-from .tables import DatasetFiles, FrameTable, read_table
+from .scaling import as_floats, scale_images
+from .store import EpisodeArray, FrameStore
+from .tables import FrameTable, read_table
 from .writing import make_once, only_writer
 
 __all__ = [
-    "DatasetFiles",
+    "AnyDataset",
+    "EpisodeArray",
+    "FrameStore",
     "FrameTable",
+    "LocalDataset",
+    "as_floats",
     "cached_frames",
     "check_demonstrations",
+    "chosen_cameras",
     "dimension_names",
     "download",
     "frame_size",
@@ -23,5 +32,7 @@ __all__ = [
     "require_finite",
     "require_videos",
     "require_whole",
+    "scale_images",
     "upload",
+    "used_size",
 ]

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE, DatasetError
+from lerobot_buds.core import ACTION, STATE, DatasetError
 
-from .frames import cached_frames, frame_size
-from .tables import DatasetFiles, FrameTable, read_table
+from .cameras import chosen_cameras, frame_size, used_size
+from .dataset import AnyDataset, LocalDataset
+from .frames import cached_frames
+from .tables import FrameTable, read_table
 
 logger = logging.getLogger(__name__)
 
@@ -22,50 +24,49 @@ SAMPLED_FRAMES = 64  # frames per camera looked at for blackness
 
 
 def check_demonstrations(
-    root: Path,
+    dataset: AnyDataset,
     cameras: Sequence[str] | None = None,
     columns: Sequence[str] = (STATE, ACTION),
     cache_dir: Path | None = None,
+    side: int | None = None,
 ) -> list[str]:
     """Refuses demonstrations that cannot be segmented, and warns about what looks broken but can be.
 
-    Decodes the cameras into the cache on the way, so that a damaged video is found before anything is trained.
+    Decodes the cameras into the frame store on the way, so that a damaged video is found before anything is trained.
 
     Args:
-        root: Folder of a LeRobotDataset.
-        cameras: Image features that will be used; all of the dataset where None.
+        dataset: What stands for the dataset; its chosen episodes are checked.
+        cameras: RGB cameras that will be used; all image features where None.
         columns: Vectors that will be used.
-        cache_dir: Folder of the decoded frames; LeRobot's home where None.
+        cache_dir: Folder of the frame store; in LeRobot's home where None.
+        side: Side of the squares (pixels) at which the frames will be used; as they are stored where None.
 
     Returns:
         The warnings, which are also logged: constant dimensions and black cameras by name.
 
     Raises:
-        DatasetError: Features are missing (all are named); rows are missing; values are not finite; timestamps are not
-            ``frame_index / fps``; the frame rate is absurd; a video is damaged or too short.
+        DatasetError: Features are missing (all are named); cameras are no RGB cameras; rows are missing; values are not
+            finite; timestamps are not ``frame_index / fps``; the frame rate is absurd; a video is damaged or too short.
     """
-    files = DatasetFiles(root)
-    if cameras is None:
-        cameras = sorted(name for name in files.features if name.startswith(IMAGE_PREFIX))
-    files.require([*cameras, *columns])
-    for camera in cameras:
-        frame_size(files.features[camera], camera)
-    require_videos(files)
-    table = read_table(root, [*columns, "timestamp", "frame_index", "episode_index"])
+    local = LocalDataset.of(dataset)
+    cameras = chosen_cameras(local.features, None if cameras is None else list(cameras), "--representation.cameras")
+    local.require([*cameras, *columns])
+    sizes = {camera: used_size(frame_size(local.features[camera], camera), side) for camera in cameras}
+    require_videos(local)
+    table = read_table(local, [*columns, "timestamp", "frame_index", "episode_index"])
     require_whole(table)
     _check_clock(table)
     warnings = []
     for name in columns:
-        names = dimension_names(files.features[name])
+        names = dimension_names(local.features[name])
         require_finite(table, name, names)
-        values = _as_matrix(table, name)
-        still = np.flatnonzero(np.ptp(values, axis=0) < CONSTANT_RANGE)
-        warnings += [f"{files.root}: {name!r} dimension {d} ({names[d]!r}) is constant in all frames" for d in still]
-    for camera in cameras:
-        frames = cached_frames(root, camera, cache_dir)
-        sample = np.unique(np.linspace(0, len(frames) - 1, SAMPLED_FRAMES).astype(np.int64))
+        still = np.flatnonzero(np.ptp(_as_matrix(table, name), axis=0) < CONSTANT_RANGE)
+        warnings += [f"{local.root}: {name!r} dimension {d} ({names[d]!r}) is constant in all frames" for d in still]
+    for camera, size in sizes.items():
+        frames = cached_frames(local, camera, cache_dir, size)
+        sample = table.rows[np.unique(np.linspace(0, len(table.rows) - 1, SAMPLED_FRAMES).astype(np.int64))]
         if frames[sample].max() < BLACK_LEVEL:
-            warnings.append(f"{files.root}: camera {camera!r} is black in all sampled frames")
+            warnings.append(f"{local.root}: camera {camera!r} is black in all sampled frames")
     for warning in warnings:
         logger.warning("%s", warning)
     return warnings
@@ -80,36 +81,38 @@ def require_whole(table: FrameTable) -> None:
     Raises:
         DatasetError: There are no rows, an episode has none, or one is not there; names the first one.
     """
-    if len(table.present) == 0:
+    rows = table.rows
+    if len(rows) == 0:
         raise DatasetError(f"{table.root} holds no frames: record or download demonstrations first.")
     empty = np.flatnonzero(table.starts == table.ends)
     if len(empty):
         raise DatasetError(
-            f"{table.root}: episode {empty[0]} has no frames, nor have {len(empty) - 1} more. LeRobot cannot load such "
-            "a dataset; record it again without them."
+            f"{table.root}: episode {table.numbers[empty[0]]} has no frames, nor have {len(empty) - 1} more. "
+            "LeRobot cannot load such a dataset; record it again without them."
         )
-    if not table.present.all():
-        first = table.locate(int(np.argmin(table.present)))
+    absent = rows[~table.present[rows]]
+    if len(absent):
+        first = table.locate(int(absent[0]))
         raise DatasetError(
-            f"{table.root}: {int((~table.present).sum())} of {len(table.present)} rows are not on this machine, the "
+            f"{table.root}: {len(absent)} of {len(rows)} rows are not on this machine, the "
             f"first is {first}. Download the whole dataset."
         )
 
 
-def require_videos(files: DatasetFiles) -> None:
+def require_videos(dataset: LocalDataset) -> None:
     """Refuses a dataset that lacks video files, even of cameras that nobody will look at: LeRobot would download them.
 
     Args:
-        files: The dataset.
+        dataset: The dataset; those of its chosen episodes count.
 
     Raises:
         DatasetError: A video file is not there; names the first one and its episode.
     """
-    for camera in (name for name, feature in files.features.items() if feature["dtype"] == "video"):
-        absent = [record for record in files.episodes if not files.video_path(record, camera).exists()]
+    for camera in (name for name, feature in dataset.features.items() if feature["dtype"] == "video"):
+        absent = [record for record in dataset.episodes if not dataset.video_path(record, camera).exists()]
         if absent:
             raise DatasetError(
-                f"{files.video_path(absent[0], camera)} is not there: episode {absent[0]['episode_index']} has "
+                f"{dataset.video_path(absent[0], camera)} is not there: episode {absent[0]['episode_index']} has "
                 f"{absent[0]['length']} rows but 0 frames of {camera!r}, and {len(absent) - 1} more episode(s) lack "
                 "theirs. Download the whole dataset."
             )
@@ -126,10 +129,11 @@ def require_finite(table: FrameTable, column: str, names: Sequence[str]) -> None
     Raises:
         DatasetError: A present row is not finite; names episode, frame and dimension of the first one.
     """
-    bad = ~np.isfinite(_as_matrix(table, column)) & table.present[:, None]
+    bad = ~np.isfinite(_as_matrix(table, column)) & table.present[table.rows, None]
     if bad.any():
-        row, dim = (int(i) for i in np.argwhere(bad)[0])
-        value = _as_matrix(table, column)[row, dim]
+        place, dim = (int(i) for i in np.argwhere(bad)[0])
+        value = _as_matrix(table, column)[place, dim]
+        row = int(table.rows[place])
         raise DatasetError(
             f"{table.root}: {column!r} is {value} in {table.locate(row)}, dimension {dim} ({names[dim]!r}); "
             f"{int(bad.any(axis=1).sum())} frame(s) are affected. Repair the recording, or remove these episodes with "
@@ -152,27 +156,30 @@ def dimension_names(feature: dict[str, Any]) -> list[str]:
     return [str(name) for name in names] if len(names) == size else [str(d) for d in range(size)]
 
 
-def _as_matrix(table: FrameTable, column: str) -> NDArray[Any]:
-    return table.columns[column].reshape(len(table.present), -1)
+def _as_matrix(table: FrameTable, column: str) -> NDArray[np.float64]:
+    """Takes a column's rows of the chosen episodes as numbers, ``(M, D)``, whatever their type is."""
+    return table.columns[column][table.rows].reshape(len(table.rows), -1).astype(np.float64)
 
 
 def _check_clock(table: FrameTable) -> None:
-    lengths = table.ends - table.starts
-    expected = np.arange(len(table.present)) - np.repeat(table.starts, lengths)
-    episodes = np.repeat(np.arange(table.n_episodes), lengths)
-    for column, truth in (("episode_index", episodes), ("frame_index", expected)):
-        wrong = np.flatnonzero(table.columns[column] != truth)
+    lengths, rows = table.ends - table.starts, table.rows
+    expected = rows - np.repeat(table.starts, lengths)
+    for column, truth in (("episode_index", np.repeat(table.numbers, lengths)), ("frame_index", expected)):
+        wrong = np.flatnonzero(table.columns[column][rows] != truth)
         if len(wrong):
-            row = int(wrong[0])
+            row = int(rows[wrong[0]])
             raise DatasetError(
                 f"{table.root}: {column} is {table.columns[column][row]} in {table.locate(row)}, which should be "
-                f"{truth[row]}. The rows do not fit meta/episodes; fetch or record the dataset again."
+                f"{truth[wrong[0]]}. The rows do not fit meta/episodes; fetch or record the dataset again."
             )
-    late = np.flatnonzero(~(np.abs(table.columns["timestamp"] - expected / table.fps) <= TIME_TOLERANCE_S))
+    times = expected / table.fps
+    # From 2,048 s on float32, in which LeRobot stores them, holds times less exactly than its own tolerance.
+    tolerance = np.maximum(TIME_TOLERANCE_S, np.spacing(times.astype(np.float32)))
+    late = np.flatnonzero(~(np.abs(table.columns["timestamp"][rows] - times) <= tolerance))
     if len(late):
-        row = int(late[0])
+        row = int(rows[late[0]])
         raise DatasetError(
             f"{table.root}: the timestamp of {table.locate(row)} is {table.columns['timestamp'][row]:.6f} s, but "
-            f"frame_index / fps is {expected[row] / table.fps:.6f} s (fps {table.fps}). Re-record at a constant "
+            f"frame_index / fps is {times[late[0]]:.6f} s (fps {table.fps:g}). Re-record at a constant "
             "rate, or correct fps in meta/info.json."
         )

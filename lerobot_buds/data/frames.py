@@ -1,204 +1,183 @@
-"""Decodes a camera's frames once, sequentially, into a memory map that every later stage reads at random.
+"""Frames at the size that is used: decoded once, scaled once, kept in the frame store, read at random ever after.
 
-The map is named by the content it was decoded from, so a segmented copy of a dataset, whose videos are byte-identical
-copies, shares the map of its source. Frames are bit-identical to those that LeRobotDataset returns.
+An array is named by the content that it was decoded from, its decoder and its size. So a segmented copy of a dataset,
+whose videos are byte-identical copies, shares the frames of its source, and so do a subset and the whole.
 """
 
 import logging
 import os
-import shutil
-from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import lru_cache
 from hashlib import sha256
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
-from lerobot.utils.constants import HF_LEROBOT_HOME
+import torch
 from numpy.typing import NDArray
-from PIL import Image
 from tqdm import tqdm
 
-from lerobot_buds.core import DatasetError, sha256_of_file, sha256_of_json
+from lerobot_buds.core import DatasetError, StorageError, sha256_of_file, sha256_of_json
 
-from .tables import DatasetFiles
-from .writing import make_once
+from .cameras import frame_size
+from .dataset import AnyDataset, LocalDataset
+from .decoding import Portion, backend_of, image_cells, portions
+from .scaling import scale_images
+from .store import EpisodeArray, FrameStore
+from .writing import only_writer
 
 logger = logging.getLogger(__name__)
 
 Frames = NDArray[np.uint8]
 
 
-def cached_frames(root: Path, camera: str, cache_dir: Path | None = None) -> Frames:
-    """Opens all frames of one camera, decoding them first where the cache does not hold them yet.
+def cached_frames(
+    dataset: AnyDataset, camera: str, cache_dir: Path | None = None, size: tuple[int, int] | None = None
+) -> Frames:
+    """Opens the frames of one camera, decoding first what the frame store does not hold yet of the chosen episodes.
 
     Safe to call from several processes at once: one decodes, the others wait.
 
     Args:
-        root: Folder of a LeRobotDataset, format v3.
-        camera: Name of an image or video feature, for example ``"observation.images.agentview"``.
-        cache_dir: Folder of the cache; default ``$HF_LEROBOT_HOME/buds_cache``.
+        dataset: What stands for the dataset.
+        camera: Name of an RGB camera, for example ``"observation.images.agentview"``.
+        cache_dir: Folder of the frame store; default ``$HF_LEROBOT_HOME/buds_cache``.
+        size: Height and width (pixels) to which frames are scaled by `scale_images`; as they are stored where None.
 
     Returns:
-        Read-only memory map ``(N, 3, H, W)`` uint8, indexed by the absolute frame ``index``. Frames that a partial
-        download lacks are black.
+        Read-only memory map ``(N, 3, h, w)`` uint8, indexed by the absolute frame ``index`` of the whole dataset.
+        Frames that were not chosen, or that a partial download lacks, are black.
 
     Raises:
-        DatasetError: The camera is missing, a video is damaged or holds fewer frames than its episodes have rows, or
-            the disk is too small.
-        StorageError: The cache cannot be written.
+        DatasetError: The camera is missing, or its frames are damaged or fewer than the rows.
+        StorageError: They do not fit into the store or onto the disk, or cannot be written.
     """
-    files = DatasetFiles(root)
-    files.require([camera])
-    shape = (files.total_frames, 3, *frame_size(files.features[camera], camera))
-    folder = cache_dir or HF_LEROBOT_HOME / "buds_cache"
-    path = folder / f"{frames_key(root, camera)[:32]}.npy"
-    make_once(path, lambda part: _decode(files, camera, shape, part))
-    frames: Frames = np.load(path, mmap_mode="r")
-    return frames
+    local = LocalDataset.of(dataset)
+    local.require([camera])
+    stored = frame_size(local.features[camera], camera)
+    size = size or stored
+    store = FrameStore.open(cache_dir)
+    path = store.folder / f"{frames_key(local, camera, size)[:32]}.npy"
+    what = f"{camera}, {size[0]} x {size[1]}: {local.root}"
+    array = EpisodeArray(path, (local.total_frames, 3, *size), np.uint8, what)
+    here = _local_episodes(local, camera)
+    if _missing(array, here):
+        with only_writer(path, wait=True):
+            _fill(store, array, local, camera, _missing(array, here))
+    return array.read()
 
 
-def frames_key(root: Path, camera: str) -> str:
-    """Hashes everything that determines a camera's frames: the stored bytes, their size and the episode lengths.
+def frames_key(dataset: AnyDataset, camera: str, size: tuple[int, int] | None = None) -> str:
+    """Hashes everything that determines a camera's frames: stored bytes, decoder, size and the lengths of episodes.
 
     Args:
-        root: Folder of a LeRobotDataset, format v3.
-        camera: Name of an image or video feature.
+        dataset: What stands for the dataset; which episodes were chosen does not matter.
+        camera: Name of an RGB camera.
+        size: Height and width (pixels) of the frames; as they are stored where None.
 
     Returns:
         A hexadecimal SHA-256.
     """
-    files = DatasetFiles(root)
-    files.require([camera])
-    is_video = files.features[camera]["dtype"] == "video"
-    content: list[str | None]
+    local = LocalDataset.of(dataset)
+    local.require([camera])
+    is_video = local.features[camera]["dtype"] == "video"
+    path_of = (lambda record: local.video_path(record, camera)) if is_video else local.data_path
+    paths = list(dict.fromkeys(path_of(record) for record in local.all_episodes))
     if is_video:
-        paths = list(dict.fromkeys(files.video_path(record, camera) for record in files.episodes))
-        content = [sha256_of_file(path) if path.exists() else None for path in paths]
-        places: list[Any] = [
-            [paths.index(files.video_path(record, camera)), record[f"videos/{camera}/from_timestamp"]]
-            for record in files.episodes
-        ]
+        content = [_video_hash(path, _stamp(path)) if path.exists() else None for path in paths]
+        starts = [local.video_start(record, camera) for record in local.all_episodes]
     else:
-        digest = sha256()
-        for index, image in _stored_images(files, camera):
-            digest.update(f"{index}:{len(image)}:".encode() + image)
-        content, places = [digest.hexdigest()], []
-    lengths = [int(record["length"]) for record in files.episodes]
-    size = frame_size(files.features[camera], camera)
+        column = local.stored_name(camera)
+        content = [_images_hash(path, column, _stamp(path)) if path.exists() else None for path in paths]
+        starts = []
     return sha256_of_json(
-        {"version": 1, "camera": camera, "size": size, "lengths": lengths, "content": content, "places": places}
+        {
+            "version": 2,
+            "size": size or frame_size(local.features[camera], camera),
+            "lengths": [int(record["length"]) for record in local.all_episodes],
+            "content": content,
+            "places": [paths.index(path_of(record)) for record in local.all_episodes],
+            "starts": starts,
+            "decoder": backend_of(local) if is_video else "images",
+        }
     )
 
 
-def frame_size(feature: dict[str, Any], camera: str) -> tuple[int, int]:
-    """Reads height and width (pixels) from an image feature, whichever place its channels have.
-
-    Args:
-        feature: Feature record of ``meta/info.json``.
-        camera: Its name, for the message.
-
-    Raises:
-        DatasetError: The feature holds no RGB images.
-    """
-    shape, names = tuple(feature["shape"]), feature.get("names") or []
-    if feature["dtype"] in ("video", "image") and len(shape) == 3:
-        channels_first = len(names) == 3 and str(names[0]).startswith("channel")
-        channels, height, width = shape if channels_first else (shape[2], shape[0], shape[1])
-        if channels == 3:
-            return int(height), int(width)
-    raise DatasetError(
-        f"{camera!r} of type {feature['dtype']}, shape {shape} and names {names} is no RGB camera. Leave it out of the "
-        "cameras, or correct meta/info.json."
-    )
+def _stamp(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size
 
 
-def _require_space(folder: Path, needed: int, camera: str) -> None:
-    free = shutil.disk_usage(folder).free
-    if free < needed:
-        raise DatasetError(
-            f"decoding {camera!r} needs {needed:,} bytes in {folder}, but only {free:,} are free; "
-            "make room, or set HF_LEROBOT_HOME to a larger disk."
-        )
+@lru_cache(maxsize=4096)
+def _video_hash(path: Path, stamp: tuple[int, int]) -> str:
+    return sha256_of_file(path)
 
 
-def _decode(files: DatasetFiles, camera: str, shape: tuple[int, ...], part: Path) -> None:
-    _require_space(part.parent, int(np.prod(shape)), camera)
-    frames: np.memmap[Any, np.dtype[np.uint8]] = np.lib.format.open_memmap(  # type: ignore[no-untyped-call]
-        part, "w+", np.uint8, shape
-    )
-    with part.open("r+b") as file:
-        # A full disk must show here as an error; at a page of the map it would kill the process.
-        os.posix_fallocate(file.fileno(), 0, part.stat().st_size)
-    is_video = files.features[camera]["dtype"] == "video"
-    source = _video_frames(files, camera) if is_video else _image_frames(files, camera)
-    for index, image in tqdm(source, total=shape[0], desc=f"decoding {camera}", unit="frame", leave=False):
-        if image.shape != (*shape[2:], 3):
-            raise DatasetError(
-                f"{files.root}: {camera!r} holds a frame of {image.shape} at index {index}; "
-                f"info.json says {(*shape[2:], 3)}."
-            )
-        frames[index] = image.transpose(2, 0, 1)
-    frames.flush()
+@lru_cache(maxsize=4096)
+def _images_hash(path: Path, column: str, stamp: tuple[int, int]) -> str:
+    digest = sha256()
+    for index, cell in image_cells(path, column):
+        content = (cell or {}).get("bytes")
+        source = (cell or {}).get("path") if content is None else None
+        if source is not None and Path(source).is_file():
+            content = Path(source).read_bytes()
+        digest.update(f"{index}:{-1 if content is None else len(content)}:".encode() + (content or b""))
+    return digest.hexdigest()
 
 
-def _stored_images(files: DatasetFiles, camera: str) -> Iterator[tuple[int, bytes]]:
-    for shard in files.shards([camera]):
-        for index, cell in zip(shard["index"].to_pylist(), shard[camera], strict=True):
-            yield index, cell["bytes"].as_py()
+def _local_episodes(dataset: LocalDataset, camera: str) -> list[Mapping[str, Any]]:
+    """Lists the chosen episodes whose frames are on this machine; names the others in a warning."""
+    is_video = dataset.features[camera]["dtype"] == "video"
+    paths = [dataset.video_path(r, camera) if is_video else dataset.data_path(r) for r in dataset.episodes]
+    here: list[Mapping[str, Any]] = [
+        record for record, path in zip(dataset.episodes, paths, strict=True) if path.exists()
+    ]
+    absent = [r["episode_index"] for r, path in zip(dataset.episodes, paths, strict=True) if not path.exists()]
+    if absent and not here:
+        raise DatasetError(f"{dataset.root} holds no frames of {camera!r}: download the files of the dataset first.")
+    if absent:
+        logger.warning("%s lacks the frames of %s of episodes %s: they stay black", dataset.root, camera, absent)
+    return here
 
 
-def _image_frames(files: DatasetFiles, camera: str) -> Iterator[tuple[int, Frames]]:
-    for index, image in _stored_images(files, camera):
-        try:
-            yield index, np.asarray(Image.open(BytesIO(image)).convert("RGB"))
-        except OSError as error:
-            raise DatasetError(
-                f"{files.root}: the image of {camera!r} at index {index} is damaged ({error})."
-            ) from error
+def _missing(array: EpisodeArray, records: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    finished = array.finished()
+    return [record for record in records if int(record["episode_index"]) not in finished]
 
 
-def _video_frames(files: DatasetFiles, camera: str) -> Iterator[tuple[int, Frames]]:
-    by_path: dict[Path, list[dict[str, Any]]] = {}
-    for record in files.episodes:
-        by_path.setdefault(files.video_path(record, camera), []).append(record)
-    absent = [path for path in by_path if not path.exists()]
-    if len(absent) == len(by_path):
-        raise DatasetError(f"{files.root} holds no video of {camera!r}: download the videos of the dataset first.")
-    for path in absent:
-        numbers = [record["episode_index"] for record in by_path[path]]
-        logger.warning("%s is not there: episodes %d to %d of %s stay black", path, numbers[0], numbers[-1], camera)
-    for path, records in by_path.items():
-        if path not in absent:
-            yield from _frames_of_file(path, records, camera, files.fps)
-
-
-def _frames_of_file(path: Path, records: list[dict[str, Any]], camera: str, fps: int) -> Iterator[tuple[int, Frames]]:
-    """Places every decoded frame by its time, the way LeRobot finds it, and counts the frames of each episode."""
-    records = sorted(records, key=lambda record: float(record[f"videos/{camera}/from_timestamp"]))
-    begins = [float(record[f"videos/{camera}/from_timestamp"]) for record in records]
-    counts = [0] * len(records)
-    damage = ""
+def _fill(
+    store: FrameStore, array: EpisodeArray, dataset: LocalDataset, camera: str, records: Sequence[Mapping[str, Any]]
+) -> None:
+    """Decodes episodes into an array in threads: decoders, scaling and files all let go of Python's lock."""
+    frames = sum(int(record["length"]) for record in records)
+    if not frames:
+        return
+    store.reserve(array.path, frames * array.row_bytes)
     try:
-        with av.open(str(path)) as container:
-            stream = container.streams.video[0]
-            # Frame threads give the same pixels in the same order, sooner.
-            stream.thread_type = "AUTO"
-            for frame in container.decode(stream):
-                time = float(frame.pts * stream.time_base)
-                k = max(0, bisect_right(begins, time + 0.5 / fps) - 1)
-                number = round((time - begins[k]) * fps)
-                if number == counts[k] and number < int(records[k]["length"]):
-                    counts[k] += 1
-                    yield int(records[k]["dataset_from_index"]) + number, frame.to_ndarray(format="rgb24")
-    except (av.FFmpegError, IndexError) as error:
-        damage = f" ({error})"
-    for record, count in zip(records, counts, strict=True):
-        if count < int(record["length"]):
-            raise DatasetError(
-                f"{path}: episode {record['episode_index']} has {record['length']} rows but only {count} video frames"
-                f"{damage}; the file was probably cut off: fetch it again, or remove the episode with "
-                "lerobot-edit-dataset."
-            )
+        array.create()
+        with (
+            tqdm(total=frames, desc=f"decoding {camera}", unit="frame", leave=False) as bar,
+            ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool,
+        ):
+            work = {pool.submit(_decode, array, part, bar): part for part in portions(dataset, camera, records)}
+            try:
+                for done in as_completed(work):
+                    done.result()
+                    array.finish(int(record["episode_index"]) for record in work[done].records)
+            except BaseException:
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
+    except OSError as error:
+        array.remove()
+        raise StorageError(
+            f"{array.path} could not be written ({error}); it needs {frames * array.row_bytes:,} bytes. Make room on "
+            "its disk, or set HF_LEROBOT_HOME to another one."
+        ) from error
+
+
+def _decode(array: EpisodeArray, portion: Portion, bar: "tqdm[Any]") -> None:
+    size = array.shape[2], array.shape[3]
+    for start, pixels in portion.read():
+        array.write(start, scale_images(torch.from_numpy(np.ascontiguousarray(pixels)), size).numpy())
+        bar.update(len(pixels))

@@ -27,7 +27,7 @@ from lerobot_buds.core import (
 )
 from lerobot_buds.data.checks import check_demonstrations
 from lerobot_buds.data.collection import RECORD_VERSION
-from lerobot_buds.data.tables import FPS_RANGE, DatasetFiles
+from lerobot_buds.data.dataset import FPS_RANGE, LocalDataset
 from lerobot_buds.data.writing import (
     camera_feature,
     create_dataset,
@@ -149,7 +149,7 @@ def _merge(
     # Appended image rows would be encoded anew, all that are there for each episode: as many files as episodes instead.
     aggregate_datasets([plan.repo_id] * len(parts), plan.repo_id, parts, merged, concatenate_data=plan.video)
     sort_stats(merged)
-    written = [int(episode["length"]) for episode in DatasetFiles(merged).episodes]
+    written = [int(episode["length"]) for episode in LocalDataset(merged).episodes]
     if written != lengths:
         raise DatasetError(f"{merged}: the episodes have {written} frames, the source {lengths}. This is a bug.")
     warnings = check_demonstrations(merged, cache_dir=cache_dir)

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_buds.core import IMAGE_PREFIX, TRUE_STAGE, BudsError, write_atomically
+from lerobot_buds.data.dataset import LocalDataset
 from lerobot_buds.data.frames import cached_frames
-from lerobot_buds.data.tables import DatasetFiles, read_table
+from lerobot_buds.data.tables import read_table
 
 from .attempts import Attempt
 
@@ -23,19 +24,19 @@ def draw_contact_sheet(
         path: PNG file to write, atomically.
         stages: Names of the true stages; without them, the demonstration is shown as one.
         columns: Frames of each camera in a row.
-        cache_dir: Folder of the decoded frames; LeRobot's home where None.
+        cache_dir: Folder of the frame store; in LeRobot's home where None.
 
     Raises:
         DatasetError: The dataset is damaged or incomplete.
     """
-    cameras = [name for name in DatasetFiles(root).features if name.startswith(IMAGE_PREFIX)]
     table = read_table(root, [TRUE_STAGE] if stages else [])
     episode = int(np.argsort(table.ends - table.starts, kind="stable")[len(table.starts) // 2])
+    shown = LocalDataset(root, chosen=(episode,))
     start, end = int(table.starts[episode]), int(table.ends[episode])
     stage_of = table.columns[TRUE_STAGE][start:end] if stages else np.zeros(end - start, dtype=np.int64)
     images = {
-        camera.removeprefix(IMAGE_PREFIX): cached_frames(root, camera, cache_dir)[start:end].transpose(0, 2, 3, 1)
-        for camera in cameras
+        camera.removeprefix(IMAGE_PREFIX): cached_frames(shown, camera, cache_dir)[start:end].transpose(0, 2, 3, 1)
+        for camera in shown.cameras
     }
     _draw(path, images, stage_of, stages, columns)
 

@@ -47,7 +47,7 @@ class Guide:
 
     Attributes:
         frames: Their frames in the latent space.
-        goals: ``(N, 3, H, W)`` uint8 workspace images of all frames.
+        goals: ``(N, 3, h, w)`` uint8 workspace images of all frames, at the size that the policy sees.
         stages: ``(N,)`` int64 number of the task's stage in which a frame is; empty where nobody knows.
         representation: Makes the latents.
         labels: Hash of their labels.
@@ -76,7 +76,7 @@ class Guide:
             CheckpointError: The policy was trained on other labels, or at another frame rate.
             DatasetError: It is damaged or incomplete, or has no demonstration of the task.
         """
-        from lerobot_buds.data import DatasetFiles, cached_frames
+        from lerobot_buds.data import LocalDataset, cached_frames
         from lerobot_buds.representation import encode_dataset
         from lerobot_buds.segmentation import SkillModel, load_labels
 
@@ -87,8 +87,8 @@ class Guide:
         latents = np.concatenate(encode_dataset(root, representation))
         representation.network.to(str(config.device))
         frames = DemonstrationFrames(latents, starts, ends, skills, subgoals, record.n_skills, config.meta_period)
-        stages = _stages(root, task) if TRUE_STAGE in DatasetFiles(root).features else np.empty(0, dtype=np.int64)
-        goals = cached_frames(root, config.cameras[0])
+        stages = _stages(root, task) if TRUE_STAGE in LocalDataset(root).features else np.empty(0, dtype=np.int64)
+        goals = cached_frames(root, config.cameras[0], size=config.image_shape)
         return cls(frames, goals, stages, representation, record.labels_hash, neighbors)
 
     def latents(self, observation: dict[str, Any], rows: IntArray) -> FloatArray:
@@ -150,9 +150,9 @@ def _check_labels(root: Path, record: "SegmentationRecord", config: "BudsConfig"
 
 def _demonstrations_of(root: Path, task: Task) -> tuple[IntArray, IntArray]:
     """Finds the first frames, and one past the last ones, of the demonstrations of a task, ``(E,)`` each."""
-    from lerobot_buds.data import DatasetFiles
+    from lerobot_buds.data import LocalDataset
 
-    episodes = [e for e in DatasetFiles(root).episodes if task.description in e["tasks"]]
+    episodes = [e for e in LocalDataset(root).episodes if task.description in e["tasks"]]
     if not episodes:
         raise DatasetError(f"{root} has no demonstration of {task.description!r} ({task.name}).")
     bounds = np.array([[e["dataset_from_index"], e["dataset_to_index"]] for e in episodes], dtype=np.int64)

@@ -1,22 +1,10 @@
-"""Image handling inside the policy: scaling down by area, the random shift of training, and the order in memory.
+"""Image handling inside the policy: the random shift of training, and the order in memory.
 
 Images come out with the channels of a pixel together, which convolutions are faster on.
 """
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
-
-
-def scale_images(images: Tensor, shape: tuple[int, int]) -> Tensor:
-    """Scales images down by averaging areas, which does not alias; images of the right size pass unchanged.
-
-    Args:
-        images: ``(B, C, H, W)`` floats.
-        shape: Height and width (pixels) of the result.
-    """
-    scaled = images if images.shape[-2:] == shape else F.interpolate(images, size=shape, mode="area")
-    return scaled.contiguous(memory_format=torch.channels_last)
 
 
 def random_shift(images: Tensor, padding: int) -> Tensor:

@@ -14,17 +14,17 @@ from torch import Tensor
 
 from lerobot_buds.core import (
     STATE,
-    CheckpointError,
     DatasetError,
     IntArray,
     SegmentationError,
     segments_of,
     subgoals_of,
 )
-from lerobot_buds.data import cached_frames, read_table
+from lerobot_buds.data import read_table
 from lerobot_buds.segmentation import load_labels
 
 from .configuration_buds import BudsConfig
+from .goals import GoalFrames
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ class LabelTable:
 
     Attributes:
         skill: ``(N,)`` int64 skill of every frame, -1 for frames that are not on this machine.
+        goals: Goal images; None for a policy without subgoals.
         weights: ``(K,)`` float64 weights by which every skill counts the same, 1 for all if they have as many frames.
 
     Args:
@@ -72,7 +73,6 @@ class LabelTable:
 
     Raises:
         SegmentationError: The labels are missing or do not fit the dataset.
-        CheckpointError: The images have another shape than the policy was made for.
     """
 
     def __init__(self, root: Path, config: BudsConfig) -> None:
@@ -92,16 +92,7 @@ class LabelTable:
         self.history_frames = config.history_frames
         state = table.columns[STATE].reshape(total, -1) if dims else np.empty((total, 0))
         self.history = state[:, dims].astype(np.float32)
-        self._goals = self._frames(config) if config.has_subgoals else None
-
-    def _frames(self, config: BudsConfig) -> NDArray[np.uint8]:
-        camera = config.cameras[0]
-        frames, expected = cached_frames(self.root, camera), tuple(config.image_features[camera].shape)
-        if frames.shape[1:] != expected:
-            raise CheckpointError(
-                f"{self.root}: {camera!r} has shape {frames.shape[1:]}, the policy was made for {expected}."
-            )
-        return frames
+        self.goals = GoalFrames(self.root, config, table.starts) if config.has_subgoals else None
 
     def lookup(self, index: Tensor) -> Supervision:
         """Collects the supervision of a batch.
@@ -138,20 +129,6 @@ class LabelTable:
             ending=torch.from_numpy(self.ending[rows]).to(device),
             history=torch.from_numpy(history).to(device),
         )
-
-    def goal_images(self, frames: Tensor, device: torch.device) -> Tensor:
-        """Loads workspace images.
-
-        Args:
-            frames: ``(B,)`` int64 absolute indices, on the CPU.
-            device: Where the images are wanted.
-
-        Returns:
-            ``(B, 3, H, W)`` float32 in [0, 1], stored size.
-        """
-        if self._goals is None:
-            raise ValueError("a policy without subgoals has no goal images")
-        return torch.from_numpy(self._goals[frames.numpy()]).to(device).float().div_(255)
 
 
 def _ahead(starts: IntArray, ends: IntArray, total: int, horizon: int) -> IntArray:

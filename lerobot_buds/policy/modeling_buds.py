@@ -12,9 +12,10 @@ from lerobot.policies import PreTrainedPolicy
 from torch import Tensor, nn
 
 from lerobot_buds.core import ACTION, STATE, CheckpointError, DatasetError
+from lerobot_buds.data import scale_images
 
 from .configuration_buds import BudsConfig
-from .images import lay_out, random_shift, scale_images
+from .images import lay_out, random_shift
 from .labels import LabelTable, Supervision
 from .meta_controller import MetaControllers, MetaLosses
 from .proprioception import Proprioception
@@ -130,6 +131,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         """
         images, state, task = self._inputs(batch)
         labels = self._label_table().lookup(batch["index"])
+        if (goals := self._label_table().goals) is not None:
+            goals.recognise(batch["index"], batch[self.config.cameras[0]])
         if self.training:
             images = random_shift(images, self.config.crop_padding)
         subgoal = target = imagined = images.new_zeros(len(images), 0)
@@ -308,7 +311,9 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return self._labels
 
     def _goal_images(self, frames: Tensor, device: torch.device) -> Tensor:
-        return scale_images(self._label_table().goal_images(frames, device), self.config.image_shape)
+        goals = self._label_table().goals
+        assert goals is not None  # nobody asks where there are no subgoals
+        return goals.images(frames.numpy(), device)
 
     def _compile_encoders(self) -> None:
         names = {"image_encoder", "subgoal_encoder", "image_trunk", "goal_trunk"}
@@ -332,7 +337,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
                 raise CheckpointError(f"{key}: the policy was made for shape {expected}, the observation has {given}.")
         check_observation(self.config, batch)
         scaled = [scale_images(batch[key], self.config.image_shape) for key in self.config.cameras]
-        images = torch.cat(scaled, dim=1)
+        images = torch.cat(scaled, dim=1).contiguous(memory_format=torch.channels_last)
         state = batch[STATE] if STATE in self.config.input_features else images.new_zeros(len(images), 0)
         tasks = [task_number(self.config, task) for task in batch.get("task") or [""] * len(images)]
         return images, state, torch.tensor(tasks, device=images.device)

@@ -1,6 +1,6 @@
 """Settings of the representation."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_buds.core import ConfigError
@@ -15,18 +15,18 @@ class RepresentationConfig:
     """
 
     cameras: list[str] | None = None
-    """Image features to fuse; all cameras of the dataset where None, none of them where empty."""
+    """Image features to fuse; all of the dataset where None, none of them where empty."""
 
-    proprioception: list[str] = field(default_factory=lambda: ["eef*", "gripper*"])
-    """Shell-style patterns of the ``observation.state`` names to fuse; none where empty. Where no name matches, all
-    dimensions are used. Default: end effector position and gripper fingers (code)."""
+    proprioception: list[str] | None = None
+    """Shell-style patterns of the ``observation.state`` names to fuse; all dimensions where None (ours), none where
+    empty. The code takes end effector position and gripper fingers: ``configs/representation/robosuite.yaml``."""
 
     proprioception_weight: float = 4.0
     """How far apart proprioception puts two frames beside what is fused or seen: the ratio of their standard deviations
     (ours, measured: docs/segmentation.md). 0 leaves what is fused as it is (paper)."""
 
     image_size: int = 128
-    """Side of the square images the network sees (pixels), box-downscaled from the stored (128: code)."""
+    """Side of the square images the network sees (pixels), scaled down from the stored by areas (128: code)."""
 
     latent_dim: int = 32
     """Size of the latent (32: code); with a backbone, of each camera's part of it."""
@@ -74,7 +74,7 @@ class RepresentationConfig:
     random ones, with which nothing but the mechanism can be tried."""
 
     backbone_image_size: int = 224
-    """Side of the square images the backbone sees (pixels), resized from the stored (ours: patches of 14 and of 16
+    """Side of the square images the backbone sees (pixels); smaller frames are enlarged (ours: patches of 14 and of 16
     divide it, and DINOv2's own 518 would show no more of a frame of 128 pixels)."""
 
     def __post_init__(self) -> None:
@@ -83,7 +83,7 @@ class RepresentationConfig:
         Raises:
             ConfigError: A value is out of its range; the message quotes it.
         """
-        if self.cameras == [] and not self.proprioception:
+        if self.cameras == [] and self.proprioception == []:
             raise ConfigError(
                 "cameras and proprioception are both empty: a representation needs at least one modality."
             )
@@ -109,9 +109,9 @@ class RepresentationConfig:
         self._check_backbone()
 
     @property
-    def frame_size(self) -> int | None:
-        """Side to which frames are box-downscaled (pixels); None with a backbone, which takes them as stored."""
-        return self.image_size if self.backbone is None else None
+    def side(self) -> int:
+        """Side of the squares to which larger frames are scaled, once, by areas (pixels)."""
+        return self.image_size if self.backbone is None else self.backbone_image_size
 
     def _check_backbone(self) -> None:
         if self.backbone is not None and self.cameras == []:

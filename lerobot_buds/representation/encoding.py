@@ -6,46 +6,58 @@ from typing import Any
 
 import numpy as np
 import torch
-from lerobot.utils.constants import HF_LEROBOT_HOME
+from accelerate import PartialState  # type: ignore[import-untyped]
+from accelerate.utils import broadcast_object_list, gather_object  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from lerobot_buds.core import STATE, CheckpointError, DatasetError, FloatArray, sha256_of_json
-from lerobot_buds.data import make_once
+from lerobot_buds.data import AnyDataset, FrameStore, as_floats, make_once, scale_images, used_size
 
-from .inputs import DatasetInputs, network_images
+from .inputs import DatasetInputs
 from .network import PROPRIOCEPTION
 from .trained import Representation
 
 
 def encode_dataset(
-    root: Path, representation: Representation, batch_size: int = 32, cache_dir: Path | None = None
+    dataset: AnyDataset, representation: Representation, batch_size: int = 32, cache_dir: Path | None = None
 ) -> list[FloatArray]:
-    """Computes the latent of every frame: the mean of the fused posterior (code), or frozen features.
+    """Computes the latent of every chosen frame: the mean of the fused posterior (code), or frozen features.
 
-    Latents are kept on disk by the hash of weights and data, so a second call only reads.
+    Latents are kept in the frame store by the hash of weights and data, so a second call only reads. Under ``accelerate
+    launch`` every process takes its share of the batches; all must call, and all return the same.
 
     Args:
-        root: Folder of a LeRobotDataset, whole on this machine.
+        dataset: What stands for the dataset; its chosen episodes must be whole on this machine.
         representation: Trained on the same cameras and state.
         batch_size: Frames per pass. 32: the fastest on CPUs, whose caches larger ones leave (measured).
-        cache_dir: Folder of decoded frames and latents; ``$HF_LEROBOT_HOME/buds_cache`` where None.
+        cache_dir: Folder of the frame store; ``$HF_LEROBOT_HOME/buds_cache`` where None.
 
     Returns:
-        One ``(T, z)`` float64 array per episode, float32 in precision.
+        One ``(T, z)`` float64 array per chosen episode, float32 in precision.
 
     Raises:
         CheckpointError: The dataset's cameras or state differ from those the representation was trained on.
         DatasetError: The dataset is damaged or incomplete, or a latent is not finite.
-        StorageError: The cache cannot be written.
+        StorageError: The store cannot be written.
     """
-    representation.modalities.require_same(root)
-    inputs = DatasetInputs(root, representation.modalities, representation.config.frame_size, cache_dir)
+    representation.modalities.require_same(dataset)
+    state = PartialState(cpu=representation.config.device == "cpu")
+    inputs = DatasetInputs(dataset, representation.modalities, representation.config.side, cache_dir)
     key = sha256_of_json({"representation": representation.hash, "data": inputs.fingerprint, "batch_size": batch_size})
-    path = (cache_dir or HF_LEROBOT_HOME / "buds_cache") / f"latents-{key[:32]}.npy"
-    make_once(path, lambda part: _write_array(part, _encode(inputs, representation, batch_size)))
-    latents = np.load(path, allow_pickle=False).astype(np.float64)
-    return [latents[start:end] for start, end in zip(inputs.starts, inputs.ends, strict=True)]
+    store = FrameStore.open(cache_dir)
+    path = store.folder / f"latents-{key[:32]}.npy"
+    (kept,) = broadcast_object_list([path.exists()])  # one answer for all, for they must do the same
+    if kept:
+        latents = np.load(path, allow_pickle=False)
+    else:
+        latents = _checked(_encode(inputs, representation, batch_size, state), inputs)
+        if state.is_main_process:
+            store.reserve(path, latents.nbytes)
+            make_once(path, lambda part: _write_array(part, latents))
+        state.wait_for_everyone()
+    parts: list[FloatArray] = np.split(latents.astype(np.float64), np.cumsum(inputs.ends - inputs.starts)[:-1])
+    return parts
 
 
 def encode_observations(representation: Representation, observations: Mapping[str, NDArray[Any]]) -> FloatArray:
@@ -73,8 +85,10 @@ def encode_observations(representation: Representation, observations: Mapping[st
                 f"the representation was trained on {name!r} of {shape}, the observation has {found}."
             )
     device = next(representation.network.parameters()).device
-    size = representation.config.frame_size
-    batch = {name: network_images(observations[name], size, device) for name in modalities.cameras}
+    batch = {}
+    for name, stored in modalities.cameras.items():
+        frames = torch.from_numpy(observations[name]).to(device)
+        batch[name] = as_floats(scale_images(frames, used_size(stored, representation.config.side)))
     if modalities.state_dims:
         state = observations[STATE][:, list(modalities.state_dims)].astype(np.float32)
         batch[PROPRIOCEPTION] = torch.from_numpy(state).to(device)
@@ -83,24 +97,33 @@ def encode_observations(representation: Representation, observations: Mapping[st
     return latents
 
 
-def _encode(inputs: DatasetInputs, representation: Representation, batch_size: int) -> NDArray[np.float32]:
-    device = torch.device("cuda" if torch.cuda.is_available() and representation.config.device == "auto" else "cpu")
-    network = representation.network.to(device)
-    parts: list[NDArray[np.float32]] = []
+def _encode(
+    inputs: DatasetInputs, representation: Representation, batch_size: int, state: PartialState
+) -> NDArray[np.float32]:
+    """Encodes the chosen frames, every n-th batch of them in each of n processes; ``(M, z)`` in all of them."""
+    network = representation.network.to(state.device)
+    batches = np.array_split(inputs.rows, range(batch_size, len(inputs.rows), batch_size))
+    mine = range(state.process_index, len(batches), state.num_processes)
+    encoded: list[tuple[int, NDArray[np.float32]]] = []
     with torch.inference_mode():
-        for start in tqdm(range(0, inputs.n_frames, batch_size), desc="encoding", unit="batch", leave=False):
-            indices = np.arange(start, min(start + batch_size, inputs.n_frames))
-            parts.append(network.latents(inputs.batch(indices, device)).cpu().numpy())
+        for number in tqdm(mine, desc="encoding", unit="batch", leave=False, disable=not state.is_main_process):
+            batch = inputs.batch(batches[number], state.device)
+            encoded.append((number, network.latents(batch).cpu().numpy()))
     network.to("cpu")
-    latents = np.concatenate(parts)
+    latents = [part for _, part in sorted(gather_object(encoded), key=lambda pair: int(pair[0]))]
+    return np.concatenate(latents)
+
+
+def _checked(latents: NDArray[np.float32], inputs: DatasetInputs) -> NDArray[np.float32]:
     bad = np.argwhere(~np.isfinite(latents))
     if len(bad):
-        row, dim = bad[0]
+        place, dim = bad[0]
+        row = inputs.rows[place]
         episode = int(np.searchsorted(inputs.ends, row, side="right"))
         raise DatasetError(
-            f"the latent of episode {episode}, frame {row - inputs.starts[episode]}, dimension {dim} is "
-            f"{latents[row, dim]}, and {len(np.unique(bad[:, 0])) - 1} more frame(s) are affected; the representation "
-            "is broken: train it again with a lower learning_rate."
+            f"the latent of episode {inputs.numbers[episode]}, frame {row - inputs.starts[episode]}, dimension {dim} "
+            f"is {latents[place, dim]}, and {len(np.unique(bad[:, 0])) - 1} more frame(s) are affected; the "
+            "representation is broken: train it again with a lower learning_rate."
         )
     return latents
 

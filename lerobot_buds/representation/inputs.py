@@ -1,5 +1,6 @@
 """Turns a dataset into batches of the network's modalities, and says which modalities those are."""
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
@@ -9,22 +10,27 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional
 
-from lerobot_buds.core import IMAGE_PREFIX, STATE, CheckpointError, DatasetError, IntArray, select_dims, sha256_of_json
+from lerobot_buds.core import STATE, CheckpointError, DatasetError, IntArray, dimensions_used, sha256_of_json
 from lerobot_buds.data import (
-    DatasetFiles,
+    AnyDataset,
+    LocalDataset,
+    as_floats,
     cached_frames,
+    chosen_cameras,
     dimension_names,
     frame_size,
     frames_key,
     read_table,
     require_finite,
     require_whole,
+    used_size,
 )
 
 from .configuration import RepresentationConfig
 from .network import PROPRIOCEPTION
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -42,107 +48,108 @@ class Modalities:
     state_dims: tuple[int, ...]
 
     @classmethod
-    def select(cls, root: Path, config: RepresentationConfig) -> "Modalities":
-        """Selects the modalities that a configuration asks for from those that a dataset has.
+    def select(cls, dataset: AnyDataset, config: RepresentationConfig) -> "Modalities":
+        """Selects the modalities that a configuration asks for from those that a dataset has, and logs them by name.
 
         Args:
-            root: Folder of a LeRobotDataset.
+            dataset: What stands for the dataset.
             config: Names the cameras and the proprioceptive dimensions.
 
         Raises:
-            DatasetError: A camera, or the state, is missing, or a camera's frames are smaller than ``image_size``.
+            DatasetError: A camera, or the state, is missing; a camera holds no RGB images, or frames that are smaller
+                than ``image_size``.
+            ConfigError: A pattern of ``proprioception`` matches no dimension of the state.
         """
-        files = DatasetFiles(root)
-        cameras = config.cameras
-        if cameras is None:
-            cameras = sorted(name for name in files.features if name.startswith(IMAGE_PREFIX))
-        files.require([*cameras, *([STATE] if config.proprioception else [])])
-        sizes = {name: frame_size(files.features[name], name) for name in cameras}
+        local = LocalDataset.of(dataset)
+        cameras = chosen_cameras(local.features, config.cameras, "--representation.cameras")
+        # A dataset without a state is segmented by its cameras, but only where nobody asked for the state by name.
+        with_state = bool(config.proprioception) or (config.proprioception is None and STATE in local.features)
+        local.require([*cameras, *([STATE] if with_state else [])])
+        if not cameras and not with_state:
+            raise DatasetError(f"{local.root} has neither a camera nor {STATE!r}: there is nothing to represent.")
+        sizes = {name: frame_size(local.features[name], name) for name in cameras}
         for name, size in sizes.items():
-            if config.frame_size and min(size) < config.frame_size:
+            if config.backbone is None and min(size) < config.image_size:
                 raise DatasetError(
-                    f"{files.root}: frames of {name!r} are {size[0]} x {size[1]} pixels, image_size asks for "
-                    f"{config.frame_size}. Set image_size to at most {min(min(s) for s in sizes.values())}."
+                    f"{local.root}: frames of {name!r} are {size[0]} x {size[1]} pixels, image_size asks for "
+                    f"{config.image_size}. Set image_size to at most {min(min(s) for s in sizes.values())}."
                 )
-        if not config.proprioception:
-            return cls(sizes, (), ())
-        names = dimension_names(files.features[STATE])
-        dims = select_dims(names, config.proprioception) or range(len(names))
-        return cls(sizes, tuple(names), tuple(dims))
+        names = tuple(dimension_names(local.features[STATE])) if with_state else ()
+        dims = tuple(dimensions_used(names, config.proprioception, "representation.proprioception"))
+        logger.info("the representation uses cameras %s, and %s of the state", sizes, [names[dim] for dim in dims])
+        return cls(sizes, names, dims)
 
-    def require_same(self, root: Path) -> None:
+    def require_same(self, dataset: AnyDataset) -> None:
         """Refuses a dataset whose cameras or state differ from those the representation was trained on.
 
         Args:
-            root: Folder of a LeRobotDataset.
+            dataset: What stands for the dataset.
 
         Raises:
             DatasetError: A modality is missing.
             CheckpointError: A frame size or the state's names differ; both sides are named.
         """
-        files = DatasetFiles(root)
-        files.require([*self.cameras, *([STATE] if self.state_dims else [])])
+        local = LocalDataset.of(dataset)
+        local.require([*self.cameras, *([STATE] if self.state_dims else [])])
         for name, size in self.cameras.items():
-            stored = frame_size(files.features[name], name)
+            stored = frame_size(local.features[name], name)
             if stored != tuple(size):
                 raise CheckpointError(
-                    f"the representation was trained on {name!r} of {size[0]} x {size[1]} pixels, but {files.root} "
+                    f"the representation was trained on {name!r} of {size[0]} x {size[1]} pixels, but {local.root} "
                     f"holds {stored[0]} x {stored[1]}. Train one on this dataset."
                 )
-        names = tuple(dimension_names(files.features[STATE])) if self.state_dims else ()
+        names = tuple(dimension_names(local.features[STATE])) if self.state_dims else ()
         if names != tuple(self.state_names):
             raise CheckpointError(
-                f"the representation was trained on {STATE!r} of {list(self.state_names)}, but {files.root} holds "
+                f"the representation was trained on {STATE!r} of {list(self.state_names)}, but {local.root} holds "
                 f"{list(names)}. Train one on this dataset."
             )
 
 
 class DatasetInputs:
-    """All frames of a dataset, ready to be fetched as batches.
+    """All chosen frames of a dataset, ready to be fetched as batches.
 
     Args:
-        root: Folder of a LeRobotDataset, whole on this machine.
+        dataset: What stands for the dataset; its chosen episodes must be whole on this machine.
         modalities: What to fetch.
-        image_size: Side of the images in a batch (pixels); None leaves them as they are stored.
-        cache_dir: Folder of the decoded frames; LeRobot's home where None.
+        side: Side of the square images in a batch (pixels), see `used_size`.
+        cache_dir: Folder of the frame store; in LeRobot's home where None.
 
     Attributes:
-        starts: ``(E,)`` absolute index of every episode's first frame.
-        ends: ``(E,)`` one past every episode's last frame.
-        fingerprint: Hash of everything that the batches are made of, image size excepted.
+        numbers: ``(E,)`` numbers of the chosen episodes.
+        starts: ``(E,)`` absolute index of every chosen episode's first frame.
+        ends: ``(E,)`` one past every chosen episode's last frame.
+        rows: ``(M,)`` absolute indices of all chosen frames.
+        fingerprint: Hash of everything that the batches are made of.
 
     Raises:
         DatasetError: Rows are missing, the state is not finite, or frames cannot be decoded.
+        StorageError: The frames do not fit into the frame store.
     """
 
-    def __init__(
-        self, root: Path, modalities: Modalities, image_size: int | None, cache_dir: Path | None = None
-    ) -> None:
-        table = read_table(root, [STATE] if modalities.state_dims else [])
+    def __init__(self, dataset: AnyDataset, modalities: Modalities, side: int, cache_dir: Path | None = None) -> None:
+        local = LocalDataset.of(dataset)
+        table = read_table(local, [STATE] if modalities.state_dims else [])
         require_whole(table)
-        self.starts, self.ends = table.starts, table.ends
-        self._image_size = image_size
+        self.numbers, self.starts, self.ends, self.rows = table.numbers, table.starts, table.ends, table.rows
         self._state: NDArray[np.float32] | None = None
         if modalities.state_dims:
             require_finite(table, STATE, modalities.state_names)
             state = table.columns[STATE].reshape(len(table.present), -1)
             self._state = np.ascontiguousarray(state[:, list(modalities.state_dims)], dtype=np.float32)
-        self._frames = {name: cached_frames(root, name, cache_dir) for name in modalities.cameras}
+        sizes = {name: used_size(size, side) for name, size in modalities.cameras.items()}
+        self._frames = {name: cached_frames(local, name, cache_dir, size) for name, size in sizes.items()}
         self.fingerprint = sha256_of_json(
             {
-                "frames": {name: frames_key(root, name) for name in modalities.cameras},
-                "state": None if self._state is None else sha256(self._state.tobytes()).hexdigest(),
+                "frames": {name: frames_key(local, name, size) for name, size in sizes.items()},
+                "state": None if self._state is None else sha256(self._state[self.rows].tobytes()).hexdigest(),
+                "starts": self.starts.tolist(),
                 "ends": self.ends.tolist(),
             }
         )
 
-    @property
-    def n_frames(self) -> int:
-        """Number of frames of the dataset."""
-        return int(self.ends[-1]) if len(self.ends) else 0
-
     def frames_of(self, episodes: IntArray) -> IntArray:
-        """Lists the absolute indices of all frames of some episodes, ``(N,)``."""
+        """Lists the absolute indices of all frames of some of the chosen episodes, by their places, ``(N,)``."""
         ranges = [np.arange(self.starts[e], self.ends[e], dtype=np.int64) for e in episodes]
         return np.concatenate(ranges) if ranges else np.empty(0, dtype=np.int64)
 
@@ -156,9 +163,7 @@ class DatasetInputs:
         Returns:
             Cameras ``(B, 3, H, W)`` float32 in [0, 1] and, if fused, `PROPRIOCEPTION` ``(B, D)`` float32.
         """
-        batch = {
-            name: network_images(frames[indices], self._image_size, device) for name, frames in self._frames.items()
-        }
+        batch = {name: as_floats(torch.from_numpy(frames[indices]).to(device)) for name, frames in self._frames.items()}
         if self._state is not None:
             batch[PROPRIOCEPTION] = torch.from_numpy(self._state[indices]).to(device)
         return batch
@@ -174,20 +179,3 @@ class DatasetInputs:
         std = values.std(axis=0)
         std[std < 1e-6] = 1.0
         return torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(std).float()
-
-
-def network_images(frames: NDArray[np.uint8], size: int | None, device: torch.device) -> Tensor:
-    """Turns stored frames into images for the network.
-
-    Args:
-        frames: ``(B, 3, H, W)`` uint8.
-        size: Side of the square that they are scaled to, by area (pixels); None leaves them as they are stored.
-        device: Where to put them.
-
-    Returns:
-        ``(B, 3, S, S)`` float32 in [0, 1].
-    """
-    images = torch.from_numpy(frames).to(device).contiguous(memory_format=torch.channels_last).float().div_(255)
-    if size is None or images.shape[-2:] == (size, size):
-        return images
-    return functional.interpolate(images, size=(size, size), mode="area")

@@ -7,6 +7,7 @@ import torch
 from matplotlib.figure import Figure
 
 from lerobot_buds.core import ConfigError, write_atomically
+from lerobot_buds.data import AnyDataset
 
 from .inputs import DatasetInputs
 from .network import FusionNetwork
@@ -15,16 +16,16 @@ from .trained import Representation
 
 @torch.no_grad()
 def draw_reconstructions(
-    root: Path, representation: Representation, path: Path, columns: int = 10, cache_dir: Path | None = None
+    dataset: AnyDataset, representation: Representation, path: Path, columns: int = 10, cache_dir: Path | None = None
 ) -> None:
     """Draws frames spread over the dataset, one row of originals and one of reconstructions per camera.
 
     Args:
-        root: Folder of a LeRobotDataset, whole on this machine.
+        dataset: What stands for the dataset; its chosen episodes must be whole on this machine.
         representation: A trained auto-encoder with at least one camera.
         path: PNG file to write, atomically.
         columns: Number of frames.
-        cache_dir: Folder of the decoded frames; LeRobot's home where None.
+        cache_dir: Folder of the frame store; in LeRobot's home where None.
 
     Raises:
         ConfigError: The representation reconstructs no images, see `Representation.draws`.
@@ -34,9 +35,9 @@ def draw_reconstructions(
     network = representation.network
     if not representation.draws or not isinstance(network, FusionNetwork):
         raise ConfigError("this representation reconstructs no images: it has a backbone, or no camera.")
-    representation.modalities.require_same(root)
-    inputs = DatasetInputs(root, representation.modalities, representation.config.frame_size, cache_dir)
-    indices = np.linspace(0, inputs.n_frames - 1, columns).astype(np.int64)
+    representation.modalities.require_same(dataset)
+    inputs = DatasetInputs(dataset, representation.modalities, representation.config.side, cache_dir)
+    indices = inputs.rows[np.linspace(0, len(inputs.rows) - 1, columns).astype(np.int64)]
     batch = inputs.batch(indices, torch.device("cpu"))
     decoded = network.decode(network.encode(batch).mean)
     cameras = list(representation.modalities.cameras)

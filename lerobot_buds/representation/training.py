@@ -9,6 +9,7 @@ import torch
 from accelerate import Accelerator, PartialState  # type: ignore[import-untyped]
 
 from lerobot_buds.core import ConfigError, IntArray, sha256_of_json
+from lerobot_buds.data import AnyDataset
 
 from .configuration import RepresentationConfig
 from .frozen import FrozenFeatures, pretrained_weights
@@ -27,7 +28,7 @@ _SPLIT, _FIT = 2, 4  # first numbers of seed sequences; the run has its own
 
 
 def train_representation(
-    root: Path, config: RepresentationConfig, output_dir: Path, cache_dir: Path | None = None
+    dataset: AnyDataset, config: RepresentationConfig, output_dir: Path, cache_dir: Path | None = None
 ) -> Representation:
     """Trains a representation on all episodes of a dataset but the held-out ones.
 
@@ -36,10 +37,10 @@ def train_representation(
     share of each batch, the first alone writes, and all return the same; up to rounding it is what one process makes.
 
     Args:
-        root: Folder of a LeRobotDataset, whole on this machine.
+        dataset: What stands for the dataset; its chosen episodes must be whole on this machine.
         config: Settings.
         output_dir: Receives the representation, and a checkpoint while training.
-        cache_dir: Folder of the decoded frames; LeRobot's home where None.
+        cache_dir: Folder of the frame store; in LeRobot's home where None.
 
     Returns:
         The trained representation, also saved in `output_dir`.
@@ -50,8 +51,8 @@ def train_representation(
         CheckpointError: The weights of the backbone cannot be had.
     """
     accelerator = _accelerator(config)
-    modalities = Modalities.select(root, config)
-    inputs = DatasetInputs(root, modalities, config.frame_size, cache_dir)
+    modalities = Modalities.select(dataset, config)
+    inputs = DatasetInputs(dataset, modalities, config.side, cache_dir)
     key = sha256_of_json({"version": VERSION, "config": asdict(config), "data": inputs.fingerprint})
     if (output_dir / RECORD_FILE).exists():
         finished = Representation.load(output_dir)

@@ -23,8 +23,7 @@ from .record import SegmentationRecord
 from .settings import DiscoveryConfig
 
 if TYPE_CHECKING:
-    from lerobot.datasets import LeRobotDataset
-
+    from lerobot_buds.data import AnyDataset
     from lerobot_buds.representation import Representation, RepresentationConfig
 
 REPRESENTATION_DIR = f"{RECORD_DIR}/representation"
@@ -46,12 +45,12 @@ class SkillModel:
     library: SkillLibrary
     lineage: tuple[str, ...] = ()
 
-    def label(self, dataset: "LeRobotDataset | Path", grow: bool = False) -> "DiscoveredSkills":
+    def label(self, dataset: "AnyDataset", grow: bool = False) -> "DiscoveredSkills":
         """Labels a dataset with the skills of the library.
 
         Args:
-            dataset: A LeRobotDataset or its folder, whole on this machine, with the cameras and the state that the
-                representation was trained on.
+            dataset: What stands for the dataset; its chosen episodes must be whole on this machine, with the cameras
+                and the state that the representation was trained on.
             grow: Opens new skills for what is far from all known ones.
 
         Raises:
@@ -128,7 +127,7 @@ class DiscoveredSkills:
 
 
 def discover_skills(
-    dataset: "LeRobotDataset | Path",
+    dataset: "AnyDataset",
     representation: "Representation | RepresentationConfig | None" = None,
     config: DiscoveryConfig | None = None,
     work_dir: Path | None = None,
@@ -136,7 +135,8 @@ def discover_skills(
     """Discovers the skills of a dataset.
 
     Args:
-        dataset: A LeRobotDataset or its folder, whole on this machine; it is only read.
+        dataset: A LeRobotDataset, its folder, or a `LocalDataset`; its chosen episodes must be whole on this machine,
+            and are only read.
         representation: A trained representation, or settings of the one to train; default ones where None.
         config: Settings of skill discovery; default ones where None.
         work_dir: Keeps the representation that is trained, so that a second call does not train it again;
@@ -148,13 +148,14 @@ def discover_skills(
         ConfigError: A setting cannot work.
         CheckpointError: The representation does not fit the dataset.
     """
+    from lerobot_buds.data import LocalDataset
     from lerobot_buds.representation import Representation, RepresentationConfig, train_representation
 
-    root, config = _root(dataset), config or DiscoveryConfig()
+    local, config = LocalDataset.of(dataset), config or DiscoveryConfig()
     if not isinstance(representation, Representation):
-        folder = (work_dir or Path("outputs/segment") / root.name) / "representation"
-        representation = train_representation(root, representation or RepresentationConfig(), folder)
-    latents, fps = _encoded(root, representation)
+        folder = (work_dir or Path("outputs/segment") / local.root.name) / "representation"
+        representation = train_representation(local, representation or RepresentationConfig(), folder)
+    latents, fps = _encoded(local, representation)
     found = config.build(fps).fit(latents)
     library = SkillLibrary.of(
         latents, found.temporal_segments_, found.labels_, found.n_skills_, num_keyframes=config.num_keyframes
@@ -162,13 +163,8 @@ def discover_skills(
     return DiscoveredSkills(found.labels_, latents, SkillModel(representation, config, library), found.scores_)
 
 
-def _root(dataset: "LeRobotDataset | Path") -> Path:
-    return dataset if isinstance(dataset, Path) else Path(dataset.root)
-
-
-def _encoded(dataset: "LeRobotDataset | Path", representation: "Representation") -> tuple[list[FloatArray], int]:
-    from lerobot_buds.data import DatasetFiles
+def _encoded(dataset: "AnyDataset", representation: "Representation") -> tuple[list[FloatArray], float]:
+    from lerobot_buds.data import LocalDataset
     from lerobot_buds.representation import encode_dataset
 
-    root = _root(dataset)
-    return encode_dataset(root, representation), DatasetFiles(root).fps
+    return encode_dataset(dataset, representation), LocalDataset.of(dataset).fps

@@ -33,6 +33,8 @@ from .record import SegmentationRecord, load_labels
 if TYPE_CHECKING:
     from lerobot.datasets import LeRobotDataset
 
+    from lerobot_buds.data import AnyDataset, LocalDataset
+
 FeatureStats = dict[str, NDArray[np.float64]]
 
 logger = logging.getLogger(__name__)
@@ -42,35 +44,35 @@ _SPARE_BYTES = 16 * 1024**2
 """Room for what is not copied: label columns, statistics, record, the file system's own needs."""
 
 
-def check_target(source_root: Path, target_root: Path) -> None:
+def check_target(source: "AnyDataset", target_root: Path) -> None:
     """Refuses a labelled copy that could not be written; cheap, so that it can be asked before anything is learned.
 
     Args:
-        source_root: Folder of the dataset to segment.
+        source: What stands for the dataset to segment.
         target_root: Folder to create.
 
     Raises:
         SegmentationError: The source is labelled already, or the target exists or lies in the source.
         DatasetError: Another process is writing the target, its disk is too full, or it cannot be written.
     """
-    with _reserved(source_root, target_root):
+    with _reserved(source, target_root):
         pass
 
 
 def write_segmented_dataset(
-    source_root: Path,
+    source: "AnyDataset",
     target_root: Path,
     target_repo_id: str,
     record: SegmentationRecord,
     model: SkillModel | None = None,
 ) -> None:
-    """Writes the labels of a record, with a copy of everything else, as a new dataset.
+    """Writes the labels of a record, with a copy of everything else of the chosen episodes, as a new dataset.
 
     Besides LeRobot's own files the source's other records under ``meta/buds`` are carried over. What an earlier,
     killed write left beside the target is removed.
 
     Args:
-        source_root: Folder of the segmented dataset's source; whole, and without labels.
+        source: What stands for the segmented dataset's source; without labels, and its chosen episodes whole.
         target_root: Folder to create; its parent is created where missing.
         target_repo_id: Name of the new dataset.
         record: The segmentation, made from this source; its labels become the columns.
@@ -82,11 +84,14 @@ def write_segmented_dataset(
         DatasetError: The source is damaged or incomplete, another process is writing the target, or its disk is too
             full or cannot be written.
     """
-    with _reserved(source_root, target_root):
-        _check_source(source_root, record)
-        with staged_directory(target_root) as staging:
-            _write_columns(source_root, staging, target_repo_id, record)
-            _copy_records(source_root, staging)
+    from lerobot_buds.data import LocalDataset
+
+    local = LocalDataset.of(source)
+    with _reserved(local, target_root):
+        _check_source(local, record)
+        with staged_directory(target_root) as staging, _chosen_only(local, staging, record.source.repo_id) as root:
+            _write_columns(root, staging, target_repo_id, record)
+            _copy_records(local.root, staging)
             record.write(staging)
             if model is not None:
                 model.save(staging)
@@ -95,11 +100,12 @@ def write_segmented_dataset(
 
 
 @contextmanager
-def _reserved(source_root: Path, target_root: Path) -> Iterator[None]:
+def _reserved(source: "AnyDataset", target_root: Path) -> Iterator[None]:
     """Keeps a target that can be written for this process alone; says what a failure to write means."""
-    from lerobot_buds.data import DatasetFiles, only_writer
+    from lerobot_buds.data import LocalDataset, only_writer
 
-    labelled = [name for name in (SKILL_ID, SUBGOAL_INDEX) if name in DatasetFiles(source_root).features]
+    source_root = LocalDataset.of(source).root
+    labelled = [name for name in (SKILL_ID, SUBGOAL_INDEX) if name in LocalDataset(source_root).features]
     if labelled:
         raise SegmentationError(
             f"{source_root} already has the columns {labelled}. Segment the dataset that it was made from, or remove "
@@ -122,19 +128,38 @@ def _reserved(source_root: Path, target_root: Path) -> Iterator[None]:
         ) from error
 
 
-def _check_source(root: Path, record: SegmentationRecord) -> None:
-    from lerobot_buds.data import DatasetFiles, read_table, require_videos, require_whole
+def _check_source(source: "LocalDataset", record: SegmentationRecord) -> None:
+    from lerobot_buds.data import read_table, require_videos, require_whole
 
-    table = read_table(root, [])
+    table = read_table(source, [])
     lengths = tuple((table.ends - table.starts).tolist())
     if (lengths, table.fps) != (record.source.episode_lengths, record.source.fps):
         raise SegmentationError(
             f"The segmentation is of {len(record.source.episode_lengths)} episodes with {record.source.total_frames} "
-            f"frames at {record.source.fps} frames per second, but {root} holds {len(lengths)} with {sum(lengths)} at "
-            f"{table.fps}, or their lengths differ. Segment this dataset again."
+            f"frames at {record.source.fps:g} frames per second, but {source.root} holds {len(lengths)} with "
+            f"{sum(lengths)} at {table.fps:g}, or their lengths differ. Segment this dataset again."
         )
     require_whole(table)
-    require_videos(DatasetFiles(root))
+    require_videos(source)
+
+
+@contextmanager
+def _chosen_only(source: "LocalDataset", staging: Path, repo_id: str) -> Iterator[Path]:
+    """Yields the folder of a dataset that holds the chosen episodes alone, which LeRobot cuts out where it must."""
+    from lerobot.datasets import LeRobotDataset, delete_episodes
+
+    chosen = {int(record["episode_index"]) for record in source.episodes}
+    others = [number for number in range(len(source.all_episodes)) if number not in chosen]
+    if not others:
+        yield source.root
+        return
+    part = staging.with_name(f"{staging.name}.chosen")
+    try:
+        whole = LeRobotDataset(repo_id, root=source.root, video_backend=source.video_backend)
+        delete_episodes(whole, others, output_dir=part, repo_id=repo_id)
+        yield part
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def _check_space(target: Path, needed: int) -> None:

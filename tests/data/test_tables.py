@@ -8,7 +8,7 @@ import pytest
 from lerobot.datasets import LeRobotDataset
 
 from lerobot_buds.core import DatasetError
-from lerobot_buds.data import DatasetFiles, read_table
+from lerobot_buds.data import LocalDataset, read_table
 
 
 def test_columns_equal_those_of_lerobot(image_root: Path) -> None:
@@ -80,4 +80,4 @@ def test_unfinished_recording_is_refused(image_root: Path, copy_of: Callable[[Pa
     root = copy_of(image_root)
     next((root / "meta/episodes").rglob("*.parquet")).unlink()
     with pytest.raises(DatasetError, match="hold 0 frames"):
-        DatasetFiles(root).episodes  # noqa: B018
+        LocalDataset(root).episodes  # noqa: B018

@@ -26,7 +26,7 @@ from lerobot_buds.core import (
     read_json,
     sha256_of_file,
 )
-from lerobot_buds.data import DatasetFiles, cached_frames, check_demonstrations, read_table
+from lerobot_buds.data import LocalDataset, cached_frames, check_demonstrations, read_table
 from lerobot_buds.demos.recording import Recording, record
 from lerobot_buds.envs import ACTION_NAMES, STATE_NAMES, TASKS, EnvSettings
 
@@ -113,7 +113,7 @@ def test_nothing_depends_on_the_order_of_a_set(demonstrations):
 
 
 def test_the_dataset_is_what_was_agreed(demonstrations):
-    dataset = DatasetFiles(demonstrations)
+    dataset = LocalDataset(demonstrations)
     assert dataset.fps == 20
     features = dataset.features
     assert features[STATE]["names"] == STATE_NAMES and features[ACTION]["names"] == ACTION_NAMES

@@ -1,0 +1,49 @@
+"""The settings that name a dataset, the same in every command that reads one."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lerobot_buds.core import TRUE_STAGE, IntArray
+from lerobot_buds.data import AnyDataset, LocalDataset, read_table
+
+from .running import dataset_root
+
+
+@dataclass
+class DatasetOptions:
+    """Which dataset, and what of it."""
+
+    repo_id: str
+    """The dataset; it is only read."""
+
+    root: str | None = None
+    """Its folder; None for LeRobot's own place for `repo_id`, where it is downloaded if it is missing."""
+
+    revision: str | None = None
+    """Branch, tag or commit to download; LeRobot's own version tag where None."""
+
+    episodes: list[int] | None = None
+    """Episodes to use, by number; all where None."""
+
+    rename_map: dict[str, str] = field(default_factory=dict)
+    """Name of a feature in the dataset -> name to use for it, for what was trained under that name."""
+
+    video_backend: str | None = None
+    """LeRobot's decoder of videos, ``torchcodec`` or ``pyav``; its default where None."""
+
+    def open(self) -> LocalDataset:
+        """Finds the dataset on this machine, after downloading it where it is missing and has no folder given."""
+        place = dataset_root(self.repo_id, self.root)
+        if self.root is None and (self.revision is not None or not (place / "meta" / "info.json").exists()):
+            from lerobot.datasets import LeRobotDataset
+
+            place = Path(LeRobotDataset(self.repo_id, episodes=self.episodes, revision=self.revision).root)
+        chosen = None if self.episodes is None else tuple(self.episodes)
+        return LocalDataset(place, chosen, self.rename_map, self.video_backend, self.revision)
+
+
+def true_stages(dataset: AnyDataset) -> list[IntArray]:
+    """Reads the true stage of every frame, ``(T,)`` per chosen demonstration."""
+    table = read_table(dataset, [TRUE_STAGE])
+    column = table.columns[TRUE_STAGE]
+    return [column[start:end] for start, end in zip(table.starts, table.ends, strict=True)]
