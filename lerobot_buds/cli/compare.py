@@ -25,7 +25,7 @@ from lerobot_buds.evaluation import (
     comparison_table,
     draw_comparison,
 )
-from lerobot_buds.representation import Modalities, RepresentationConfig, encode_dataset, train_representation
+from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
 from lerobot_buds.segmentation import DiscoveryConfig
 
 from .datasets import DatasetOptions, true_stages
@@ -72,8 +72,7 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
     dataset = config.open()
     if TRUE_STAGE not in dataset.features:
         raise DatasetError(f"{dataset.root} has no column {TRUE_STAGE!r}: no segmentation can be scored.")
-    modalities = Modalities.select(dataset, config.representation)
-    check_demonstrations(dataset, list(modalities.cameras), side=config.representation.side)
+    check_demonstrations(dataset, config.representation.cameras, side=config.representation.side)
     signals = {name: _signal(dataset, getattr(config, name), name) for name in ("position", "gripper")}
     gripper = [np.abs(fingers).mean(axis=1) for fingers in signals["gripper"]]
     stages, fps = true_stages(dataset), dataset.fps

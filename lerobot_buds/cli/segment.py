@@ -9,7 +9,6 @@ from lerobot_buds.core import ACTION, STATE, TRUE_STAGE, ConfigError, IntArray, 
 from lerobot_buds.data import LocalDataset, check_demonstrations, only_writer
 from lerobot_buds.evaluation import agreement
 from lerobot_buds.representation import (
-    Modalities,
     Representation,
     RepresentationConfig,
     draw_reconstructions,
@@ -147,8 +146,8 @@ def _discover(config: SegmentConfig, dataset: LocalDataset, work_dir: Path) -> D
         representation = Representation.from_pretrained(config.representation_path)
         _check_representation(dataset, representation)
         return discover_skills(dataset, representation, _discovery(config))
-    modalities = Modalities.select(dataset, config.representation)
-    _check_data(dataset, modalities, config.representation)
+    wanted = config.representation
+    _check_data(dataset, wanted.cameras, wanted.proprioception != [], wanted.side)
     return discover_skills(dataset, config.representation, _discovery(config), work_dir)
 
 
@@ -157,14 +156,13 @@ def _discovery(config: SegmentConfig) -> DiscoveryConfig:
 
 
 def _check_representation(dataset: LocalDataset, representation: Representation) -> None:
-    representation.modalities.require_same(dataset)
-    _check_data(dataset, representation.modalities, representation.config)
+    fused = representation.modalities
+    _check_data(dataset, list(fused.cameras), bool(fused.state_dims), representation.config.side)
 
 
-def _check_data(dataset: LocalDataset, modalities: Modalities, config: RepresentationConfig) -> None:
+def _check_data(dataset: LocalDataset, cameras: list[str] | None, with_state: bool, side: int) -> None:
     # The actions are not used here, but the policy that learns from the result needs them.
-    columns = [STATE, ACTION] if modalities.state_dims else [ACTION]
-    check_demonstrations(dataset, list(modalities.cameras), columns, side=config.side)
+    check_demonstrations(dataset, cameras, [STATE, ACTION] if with_state else [ACTION], side=side)
 
 
 def _record(

@@ -48,10 +48,10 @@ def chosen_cameras(features: Features, wanted: list[str] | None, setting: str) -
     others = [name for name in image_features(features) if not is_rgb(features[name])]
     if others:
         usable = rgb_cameras(features)
-        shown = {name: tuple(features[name]["shape"]) for name in others}
+        shown = [f"{n!r} (shape {tuple(features[n]['shape'])}, names {features[n].get('names')})" for n in others]
         raise DatasetError(
-            f"{shown} hold depth, grey or other images that are not RGB and cannot be used beside colours. Name the "
-            f"cameras to use: {setting}='{usable}'." + ("" if usable else " (There is no RGB camera: use none.)")
+            f"{', '.join(shown)}: depth, grey or other images that are no RGB images cannot be used beside colours. "
+            f"Name the cameras to use, {setting}='[{', '.join(usable)}]', or correct meta/info.json."
         )
     return rgb_cameras(features)
 

@@ -99,12 +99,14 @@ class GoalFrames:
         if errors[nearest] == 0:
             return nearest
         others = [error for (camera, _), error in errors.items() if camera != nearest[0]]
-        if nearest[0] != self._camera and others and errors[nearest] > CLEARLY * min(others):
-            raise CheckpointError(
-                f"Which camera of {self._root} the batch calls {self._camera!r} cannot be told: its images are none of "
-                f"the dataset's own (mean differences: {errors}). Leave out dataset.image_transforms, or rename the "
-                "cameras in the dataset."
-            )
+        if others and errors[nearest] > CLEARLY * min(others):
+            if self._camera not in {camera for camera, _ in errors}:
+                raise CheckpointError(
+                    f"Which camera of {self._root} the batch calls {self._camera!r} cannot be told: its images are "
+                    f"none of the dataset's own (mean differences: {errors}). Leave out dataset.image_transforms, or "
+                    "rename the cameras in the dataset."
+                )
+            nearest = (self._camera, None)
         logger.warning(
             "The batch's images are not the dataset's own pixels (image transforms?); goal images of %r stay plain.",
             nearest[0],

@@ -62,11 +62,10 @@ class Modalities:
         """
         local = LocalDataset.of(dataset)
         cameras = chosen_cameras(local.features, config.cameras, "--representation.cameras")
-        # A dataset without a state is segmented by its cameras, but only where nobody asked for the state by name.
-        with_state = bool(config.proprioception) or (config.proprioception is None and STATE in local.features)
+        with_state = config.proprioception != []
         local.require([*cameras, *([STATE] if with_state else [])])
         if not cameras and not with_state:
-            raise DatasetError(f"{local.root} has neither a camera nor {STATE!r}: there is nothing to represent.")
+            raise DatasetError(f"{local.root} has no camera, and proprioception is left out: nothing to represent.")
         sizes = {name: frame_size(local.features[name], name) for name in cameras}
         for name, size in sizes.items():
             if config.backbone is None and min(size) < config.image_size:

@@ -105,14 +105,15 @@ DAMAGES = {
     "time repeated": (put("timestamp", 3, 0.1), r"timestamp of episode 0, frame 3 is 0.1.* is 0.15.*correct fps"),
     "time goes back": (put("timestamp", 20, 0.0), r"timestamp of episode 1, frame 5 is 0.0.* is 0.25"),
     "another frame rate": (info(lambda c: c.update(fps=30)), r"timestamp of episode 0, frame 1 is 0.05.*\(fps 30\)"),
-    "no frame rate": (info(lambda c: c.update(fps=0)), r"info.json: fps=0 is outside \(1, 1000\); correct it"),
+    "no frame rate": (info(lambda c: c.update(fps=0)), r"info.json: fps=0 is outside \(0.1, 1000.0\); correct it"),
     "no key": (info(lambda c: c.pop("features")), r"info.json is damaged \(no \['features'\]\)"),
     "rows of another episode": (put("episode_index", 2, 1), r"episode_index is 1 in episode 0, frame 2, which should"),
     "image cut off": (put(FRONT, 16, {"bytes": b"\x89PNG\r\n", "path": None}), r"front' at index 16 is damaged"),
-    "frames of another size": (info(shorter), r"holds a frame of \(32, 32, 3\) at index 0; .*says \(48, 32, 3\)"),
+    "frames of another size": (info(shorter), r"at index 0 has shape \(32, 32, 3\); .*says \(48, 32, 3\)"),
     "channels in another place": (
         info(lambda c: c["features"][FRONT].update(names=["channels", "height", "width"])),
-        r"front' of type image, shape \(32, 32, 3\) and names \['channels'.* is no RGB camera. Leave it out",
+        r"front' \(shape \(32, 32, 3\), names \['channels'.*no RGB images.*"
+        r"Name the cameras to use, --representation.cameras='\[\]', or correct",
     ),
     "an old format": (info(lambda c: c.update(codebase_version="v2.1")), r"dataset format v2.1 is not v3; convert it"),
 }

@@ -349,7 +349,7 @@ def test_the_command_imports_and_shows_errors_in_one_line(
 ) -> None:
     options = ["--repo_id=test/imported", "--task=lift", "--fps=20", "--video=false", f"--root={tmp_path / 'out'}"]
     options += ["--cameras={front: agentview_image}", "--state=[robot0_eef_pos, robot0_gripper_qpos]"]
-    monkeypatch.setattr("lerobot_buds.data.frames.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_buds.data.store.HF_LEROBOT_HOME", tmp_path)
     monkeypatch.setattr("sys.argv", ["lerobot-buds-import", f"--source={tmp_path / 'absent.hdf5'}", *options])
     with pytest.raises(SystemExit) as stopped:
         main()

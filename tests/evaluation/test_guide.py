@@ -9,13 +9,12 @@ import pytest
 import torch
 
 from lerobot_buds.core import IMAGE_PREFIX, STATE, CheckpointError, DatasetError, write_json
-from lerobot_buds.data import cached_frames, read_table
+from lerobot_buds.data import cached_frames, read_table, scale_images
 from lerobot_buds.envs import TASKS
 from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
 from lerobot_buds.evaluation.checkpoint import Checkpoint, load_checkpoint
 from lerobot_buds.evaluation.episodes import Decider, EpisodeRecorder
 from lerobot_buds.evaluation.guide import Advice, Guide
-from lerobot_buds.policy.images import scale_images
 from lerobot_buds.segmentation import load_labels
 
 TASK = TASKS["multitask_kitchen/task3_variant1"]

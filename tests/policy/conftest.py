@@ -120,7 +120,7 @@ def dataset_root(meta: LeRobotDatasetMetadata) -> Path:
 
 @pytest.fixture(autouse=True)
 def cache_in_tmp(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lerobot_buds.data.frames.HF_LEROBOT_HOME", tmp_path_factory.getbasetemp() / "home")
+    monkeypatch.setattr("lerobot_buds.data.store.HF_LEROBOT_HOME", tmp_path_factory.getbasetemp() / "home")
 
 
 @pytest.fixture

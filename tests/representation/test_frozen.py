@@ -29,6 +29,7 @@ FROZEN = RepresentationConfig(
     backbone_weights="random",
     backbone_image_size=48,
     latent_dim=4,
+    proprioception=["eef*", "gripper*"],
     validation_fraction=0.0,
     device="cpu",
 )

@@ -26,7 +26,14 @@ from lerobot_buds.representation.trained import RECORD_FILE, WEIGHTS_FILE
 from lerobot_buds.representation.training import split_episodes
 
 SMALL = RepresentationConfig(
-    image_size=16, latent_dim=4, steps=30, batch_size=16, checkpoint_interval=10, validation_fraction=0.25, device="cpu"
+    proprioception=["eef*", "gripper*"],
+    image_size=16,
+    latent_dim=4,
+    steps=30,
+    batch_size=16,
+    checkpoint_interval=10,
+    validation_fraction=0.25,
+    device="cpu",
 )
 
 
@@ -135,7 +142,7 @@ def test_early_stopping_survives_a_kill(
     toy_root: Path, unbroken: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cache = unbroken[1]
-    config = replace(SMALL, steps=100, learning_rate=0.03, checkpoint_interval=2, patience=4)
+    config = replace(SMALL, steps=100, learning_rate=0.02, checkpoint_interval=2, patience=4)
     whole = train_representation(toy_root, config, tmp_path / "whole", cache)
     last = int(whole.losses[-1]["step"])
     assert 10 < last < 100
@@ -241,15 +248,14 @@ def test_episodes_are_split_whole(episodes: int, fraction: float, held_out: int)
 def test_modalities_are_selected_by_name(toy_root: Path, unbroken: tuple[Path, Path], tmp_path: Path) -> None:
     cache = unbroken[1]
     config = replace(SMALL, steps=1)
-    both = train_representation(toy_root, config, tmp_path / "both", cache).modalities
-    assert both.state_dims == (1, 2, 3) and list(both.cameras) == [
+    both = train_representation(toy_root, replace(config, proprioception=None), tmp_path / "both", cache).modalities
+    assert both.state_dims == (0, 1, 2, 3) and list(both.cameras) == [
         "observation.images.front",
         "observation.images.wrist",
     ]
-    fallback = train_representation(
-        toy_root, replace(config, proprioception=["arm*"]), tmp_path / "all", cache
-    ).modalities
-    assert fallback.state_dims == (0, 1, 2, 3)
+    assert train_representation(toy_root, config, tmp_path / "named", cache).modalities.state_dims == (1, 2, 3)
+    with pytest.raises(ConfigError, match=r"\['arm\*'\] match none of the dimensions \['joint_1"):
+        train_representation(toy_root, replace(config, proprioception=["eef*", "arm*"]), tmp_path / "no", cache)
     wrist = replace(config, cameras=["observation.images.wrist"], proprioception=[])
     assert train_representation(toy_root, wrist, tmp_path / "wrist", cache).modalities.state_dims == ()
     with pytest.raises(DatasetError, match=r"Did you mean 'observation\.images\.wrist'"):
