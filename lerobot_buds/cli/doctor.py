@@ -4,13 +4,14 @@ LeRobot logs and then ignores a plugin that cannot be imported; what its user se
 Here the plugin is imported last and nothing is swallowed: a fault inside it ends in its own traceback.
 """
 
+import shlex
 import shutil
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import draccus
 import numpy as np
@@ -18,10 +19,13 @@ from numpy.typing import NDArray
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from lerobot_buds.core import SimulatorError
+from lerobot_buds.core import ConfigError, SimulatorError
 from lerobot_buds.envs import EnvSettings, RobosuiteEnv
 from lerobot_buds.envs.loading import ROBOSUITE_VERSION
 from lerobot_buds.envs.remedies import CannotStartError, backend
+
+if TYPE_CHECKING:
+    from lerobot_buds.data import FrameStore
 
 DISTRIBUTION = "lerobot_policy_buds"
 """The installed name, and the module that LeRobot imports because of it; a dashed name would not be discovered."""
@@ -30,6 +34,7 @@ ROBOSUITE = f"robosuite=={ROBOSUITE_VERSION}"
 """Not among the distribution's requirements, since it has to be installed without its own (see docs/install.md)."""
 
 _TASK = "hammer_place"  # any will do
+_LIMIT = "BUDS_STORE_LIMIT"
 
 LOW_DISK, NO_DISK = 10 * 2**30, 2**30
 """Free bytes under which a warning is given, and under which a run cannot be expected to finish (ours)."""
@@ -71,6 +76,7 @@ class Installation:
         registered: Lists the policy types and the environment types that LeRobot knows; called once the plugin is
             imported.
         render: Resets a task and draws one ``(H, W, 3)`` uint8 frame of it.
+        store: Opens the store of decoded frames.
     """
 
     plugins: Collection[str]
@@ -81,6 +87,7 @@ class Installation:
     load: Callable[[str], object]
     registered: Callable[[], tuple[Collection[str], Collection[str]]]
     render: Callable[[], NDArray[np.uint8]]
+    store: Callable[[], "FrameStore"]
 
 
 def check_discovery(installation: Installation) -> Finding:
@@ -160,6 +167,22 @@ def check_disk(installation: Installation) -> Finding:
     return Finding("disk", status, detail, f"free {LOW_DISK // 2**30} GiB, or work on another disk")
 
 
+def check_store(installation: Installation) -> Finding:
+    """Where do decoded frames lie, how much of its bound do they take, and how is the folder emptied?"""
+    try:
+        store = installation.store()
+    except ImportError as error:  # what is missing is among the versions
+        return Finding("frames", "ok", f"not looked at: LeRobot cannot be imported ({error})")
+    except ConfigError as error:
+        return Finding("frames", "FAIL", str(error), f"unset {_LIMIT}")
+    used, limit = store.used_bytes(), store.limit_bytes
+    detail = f"{used / 2**30:.1f} of at most {limit / 2**30:.1f} GiB decoded frames in {store.folder}"
+    detail += f" (bound: {_LIMIT}; to empty it: rm -r {shlex.quote(str(store.folder))})"
+    if used <= limit:
+        return Finding("frames", "ok", detail)
+    return Finding("frames", "warning", detail, f"raise {_LIMIT}, or empty the folder")
+
+
 def check_plugin(installation: Installation) -> Finding:
     """Does the plugin import, and does LeRobot know its policy and its environment afterwards?
 
@@ -189,6 +212,7 @@ CHECKS = (
     check_decoder,
     check_opencv,
     check_disk,
+    check_store,
     check_plugin,  # last: a fault inside the plugin raises, and by then everything else is reported
 )
 
@@ -210,6 +234,7 @@ def this_installation() -> Installation:
         load=import_module,
         registered=_registered,
         render=_render,
+        store=_store,
     )
 
 
@@ -253,6 +278,12 @@ def _registered() -> tuple[Collection[str], Collection[str]]:
     from lerobot.envs import EnvConfig
 
     return list(PreTrainedConfig.get_known_choices()), list(EnvConfig.get_known_choices())
+
+
+def _store() -> "FrameStore":
+    from lerobot_buds.data import FrameStore  # imports LeRobot
+
+    return FrameStore.open()
 
 
 def _render() -> NDArray[np.uint8]:

@@ -3,6 +3,8 @@
 import logging
 import os
 import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from threading import Lock
 from typing import TYPE_CHECKING
@@ -59,11 +61,12 @@ def installed_version(distribution: str) -> str | None:
         return None
 
 
-def open_simulation(task: Task) -> "TabletopEnv | StockEnv":
-    """Builds the robosuite environment of a task.
+@contextmanager
+def importing_simulator() -> Iterator[None]:
+    """Surrounds the imports of what needs MuJoCo or robosuite, which are made at first use, by any thread.
 
     Raises:
-        SimulatorError: The simulator is missing, unsupported, or cannot be loaded here.
+        SimulatorError: The simulator is missing, unsupported, or cannot be loaded here; the message says why.
     """
     check_versions(installed_version("robosuite"), installed_version("mujoco"))
     with _LOADING:
@@ -73,14 +76,24 @@ def open_simulation(task: Task) -> "TabletopEnv | StockEnv":
         # At import robosuite warns about optional packages that nothing here uses.
         logging.getLogger("robosuite_logs").addFilter(_is_error)
         try:
-            from .simulation.scenes import build_scene
-            from .simulation.stock import StockEnv
-            from .simulation.tabletop import TabletopEnv
+            yield
         except STARTING_ERRORS as error:
             raise cannot_start(error) from error
         finally:
             if asked:  # robosuite writes over it, and worker processes inherit it
                 os.environ["MUJOCO_GL"] = asked
+
+
+def open_simulation(task: Task) -> "TabletopEnv | StockEnv":
+    """Builds the robosuite environment of a task.
+
+    Raises:
+        SimulatorError: The simulator is missing, unsupported, or cannot be loaded here.
+    """
+    with importing_simulator():
+        from .simulation.scenes import build_scene
+        from .simulation.stock import StockEnv
+        from .simulation.tabletop import TabletopEnv
     return StockEnv(task.name) if task.stock else TabletopEnv(build_scene(task))
 
 

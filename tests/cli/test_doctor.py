@@ -1,6 +1,10 @@
 """The doctor tells a broken installation from a sound one. Broken ones are described, not produced."""
 
+import shlex
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +20,13 @@ from lerobot_buds.cli.doctor import (
     check_plugin,
     check_rendering,
     check_simulator,
+    check_store,
     check_versions,
     examine,
     this_installation,
 )
 from lerobot_buds.core import SimulatorError
+from lerobot_buds.data import FrameStore
 from lerobot_buds.envs.remedies import CannotStartError
 
 
@@ -55,6 +61,7 @@ SOUND = Installation(
     load=refuse(),
     registered=lambda: (["act", "buds"], ["pusht", "robosuite"]),
     render=lambda: np.ones((4, 6, 3), np.uint8),
+    store=lambda: FrameStore(Path("no such folder"), 2**30),
 )
 
 
@@ -137,3 +144,23 @@ def test_the_running_installation_is_described() -> None:
     assert any(r.startswith("lerobot[training]") for r in installation.requirements)
     assert list(installation.opencv_owners) == ["opencv-python-headless"]
     assert installation.free_bytes > 0
+
+
+def test_the_store_of_frames_is_shown_with_its_bound_and_how_to_empty_it(tmp_path, monkeypatch) -> None:
+    np.save(tmp_path / "frames.npy", np.ones(2**16))
+    small = replace(SOUND, store=lambda: FrameStore(tmp_path, 2**10))
+    assert check_store(small).status == "warning" and "BUDS_STORE_LIMIT" in check_store(small).remedy
+    large = check_store(replace(SOUND, store=lambda: FrameStore(tmp_path, 2**31)))
+    assert large.status == "ok" and f"of at most 2.0 GiB decoded frames in {tmp_path}" in large.detail
+    subprocess.run(shlex.split(large.detail.partition("to empty it: ")[2].rstrip(")")), check=True)
+    assert FrameStore(tmp_path, 2**31).used_bytes() == 0
+    monkeypatch.setenv("BUDS_STORE_LIMIT", "much")
+    wrong = check_store(replace(SOUND, store=this_installation().store))
+    assert wrong.status == "FAIL" and wrong.remedy == "unset BUDS_STORE_LIMIT"
+    assert check_store(replace(SOUND, store=lambda: refuse("lerobot")("lerobot"))).status == "ok"  # said elsewhere
+
+
+def test_the_doctor_starts_without_lerobot() -> None:
+    """A broken LeRobot is what it is to find."""
+    code = "import sys; import lerobot_buds.cli.doctor; print('lerobot' in sys.modules)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
