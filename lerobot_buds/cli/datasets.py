@@ -1,10 +1,9 @@
 """The settings that name a dataset, the same in every command that reads one."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from lerobot_buds.core import TRUE_STAGE, IntArray
-from lerobot_buds.data import AnyDataset, LocalDataset, read_table
+from lerobot_buds.data import AnyDataset, LocalDataset, download_dataset, read_table
 
 from .running import dataset_root
 
@@ -32,12 +31,14 @@ class DatasetOptions:
     """LeRobot's decoder of videos, ``torchcodec`` or ``pyav``; its default where None."""
 
     def open(self) -> LocalDataset:
-        """Finds the dataset on this machine, after downloading it where it is missing and has no folder given."""
+        """Finds the dataset on this machine, after downloading it where it is missing and has no folder given.
+
+        Raises:
+            DatasetError: It is not on this machine and cannot be had from the Hub.
+        """
         place = dataset_root(self.repo_id, self.root)
         if self.root is None and (self.revision is not None or not (place / "meta" / "info.json").exists()):
-            from lerobot.datasets import LeRobotDataset
-
-            place = Path(LeRobotDataset(self.repo_id, episodes=self.episodes, revision=self.revision).root)
+            place = download_dataset(self.repo_id, self.revision, self.episodes)
         chosen = None if self.episodes is None else tuple(self.episodes)
         return LocalDataset(place, chosen, self.rename_map, self.video_backend, self.revision)
 

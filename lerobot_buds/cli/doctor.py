@@ -4,14 +4,14 @@ LeRobot logs and then ignores a plugin that cannot be imported; what its user se
 Here the plugin is imported last and nothing is swallowed: a fault inside it ends in its own traceback.
 """
 
-import os
+import shlex
 import shutil
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import draccus
 import numpy as np
@@ -19,14 +19,22 @@ from numpy.typing import NDArray
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from lerobot_buds.core import SimulatorError
+from lerobot_buds.core import ConfigError, SimulatorError
+from lerobot_buds.envs import EnvSettings, RobosuiteEnv
 from lerobot_buds.envs.loading import ROBOSUITE_VERSION
+from lerobot_buds.envs.remedies import CannotStartError, backend
+
+if TYPE_CHECKING:
+    from lerobot_buds.data import FrameStore
 
 DISTRIBUTION = "lerobot_policy_buds"
 """The installed name, and the module that LeRobot imports because of it; a dashed name would not be discovered."""
 
 ROBOSUITE = f"robosuite=={ROBOSUITE_VERSION}"
 """Not among the distribution's requirements, since it has to be installed without its own (see docs/install.md)."""
+
+_TASK = "hammer_place"  # any will do
+_LIMIT = "BUDS_STORE_LIMIT"
 
 LOW_DISK, NO_DISK = 10 * 2**30, 2**30
 """Free bytes under which a warning is given, and under which a run cannot be expected to finish (ours)."""
@@ -67,7 +75,8 @@ class Installation:
         load: Imports a module by name.
         registered: Lists the policy types and the environment types that LeRobot knows; called once the plugin is
             imported.
-        render: Draws one ``(H, W, 3)`` uint8 frame in the simulator.
+        render: Resets a task and draws one ``(H, W, 3)`` uint8 frame of it.
+        store: Opens the store of decoded frames.
     """
 
     plugins: Collection[str]
@@ -78,6 +87,7 @@ class Installation:
     load: Callable[[str], object]
     registered: Callable[[], tuple[Collection[str], Collection[str]]]
     render: Callable[[], NDArray[np.uint8]]
+    store: Callable[[], "FrameStore"]
 
 
 def check_discovery(installation: Installation) -> Finding:
@@ -104,16 +114,19 @@ def check_simulator(installation: Installation) -> Finding:
 
 
 def check_rendering(installation: Installation) -> Finding:
-    """Can the simulator draw a frame without a display?"""
-    if "mujoco" not in installation.versions:
+    """Can a task be reset and drawn without a display, in the way that every command does it?"""
+    if not {"mujoco", "robosuite"} <= set(installation.versions):
         return Finding("rendering", "ok", "not tried: the simulator is not installed")
     try:
         frame = installation.render()
+    except CannotStartError as error:
+        return Finding("rendering", "FAIL", error.cause, error.remedy)
     except SimulatorError as error:
-        remedy = "apt-get install libegl1 libgl1-mesa-dri libopengl0, or set MUJOCO_GL=osmesa and install libosmesa6"
-        return Finding("rendering", "FAIL", str(error), remedy)
+        return Finding("rendering", "FAIL", str(error), "see docs/install.md")
+    if not frame.any():
+        return Finding("rendering", "FAIL", f"nothing but black, with MUJOCO_GL={backend()}", "see docs/install.md")
     height, width = frame.shape[:2]
-    return Finding("rendering", "ok", f"drew {height}x{width} pixels with MUJOCO_GL={os.environ.get('MUJOCO_GL')}")
+    return Finding("rendering", "ok", f"drew {height}x{width} pixels with MUJOCO_GL={backend()}")
 
 
 def check_decoder(installation: Installation) -> Finding:
@@ -154,6 +167,22 @@ def check_disk(installation: Installation) -> Finding:
     return Finding("disk", status, detail, f"free {LOW_DISK // 2**30} GiB, or work on another disk")
 
 
+def check_store(installation: Installation) -> Finding:
+    """Where do decoded frames lie, how much of its bound do they take, and how is the folder emptied?"""
+    try:
+        store = installation.store()
+    except ImportError as error:  # what is missing is among the versions
+        return Finding("frames", "ok", f"not looked at: LeRobot cannot be imported ({error})")
+    except ConfigError as error:
+        return Finding("frames", "FAIL", str(error), f"unset {_LIMIT}")
+    used, limit = store.used_bytes(), store.limit_bytes
+    detail = f"{used / 2**30:.1f} of at most {limit / 2**30:.1f} GiB decoded frames in {store.folder}"
+    detail += f" (bound: {_LIMIT}; to empty it: rm -r {shlex.quote(str(store.folder))})"
+    if used <= limit:
+        return Finding("frames", "ok", detail)
+    return Finding("frames", "warning", detail, f"raise {_LIMIT}, or empty the folder")
+
+
 def check_plugin(installation: Installation) -> Finding:
     """Does the plugin import, and does LeRobot know its policy and its environment afterwards?
 
@@ -183,6 +212,7 @@ CHECKS = (
     check_decoder,
     check_opencv,
     check_disk,
+    check_store,
     check_plugin,  # last: a fault inside the plugin raises, and by then everything else is reported
 )
 
@@ -204,6 +234,7 @@ def this_installation() -> Installation:
         load=import_module,
         registered=_registered,
         render=_render,
+        store=_store,
     )
 
 
@@ -249,7 +280,16 @@ def _registered() -> tuple[Collection[str], Collection[str]]:
     return list(PreTrainedConfig.get_known_choices()), list(EnvConfig.get_known_choices())
 
 
-def _render() -> NDArray[np.uint8]:
-    from ..envs.simulation.probe import render_frame
+def _store() -> "FrameStore":
+    from lerobot_buds.data import FrameStore  # imports LeRobot
 
-    return render_frame()
+    return FrameStore.open()
+
+
+def _render() -> NDArray[np.uint8]:
+    env = RobosuiteEnv(EnvSettings(_TASK, image_size=64))
+    try:
+        frame: NDArray[np.uint8] = env.reset(seed=0)[0]["pixels"]["agentview"]
+    finally:
+        env.close()
+    return frame

@@ -5,7 +5,7 @@ from .checks import check_demonstrations, dimension_names, require_finite, requi
 from .collection import read_collection
 from .dataset import AnyDataset, LocalDataset
 from .frames import cached_frames, frames_key
-from .hub import download, upload
+from .hub import download, download_dataset, upload
 from .scaling import as_floats, scale_images
 from .store import EpisodeArray, FrameStore
 from .tables import FrameTable, read_table
@@ -23,6 +23,7 @@ __all__ = [
     "chosen_cameras",
     "dimension_names",
     "download",
+    "download_dataset",
     "frame_size",
     "frames_key",
     "make_once",

@@ -1,7 +1,7 @@
 """Brings files to the Hugging Face Hub and from there: known names only, and one sentence for what goes wrong."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from huggingface_hub.errors import (
     RevisionNotFoundError,
 )
 
-from lerobot_buds.core import CheckpointError
+from lerobot_buds.core import BudsError, CheckpointError, DatasetError
 
 PAUSES_S = (1.0, 2.0, 4.0)  # before a download is asked for again; huggingface_hub repeats uploads only
 
@@ -43,14 +43,49 @@ def download(
     """
     with _in_one_sentence(repo_id, revision):
         fetch = partial(snapshot_download, repo_id, revision=revision, repo_type=repo_type, allow_patterns=list(names))
-        for pause in PAUSES_S:
-            try:
-                return Path(fetch())
-            except (HfHubHTTPError, LocalEntryNotFoundError) as error:
-                if (_status(error) or 0) < 500:
-                    raise
-                time.sleep(pause)
-        return Path(fetch())
+        return Path(_patiently(fetch))
+
+
+def download_dataset(repo_id: str, revision: str | None = None, episodes: Sequence[int] | None = None) -> Path:
+    """Fetches a LeRobotDataset in the way of LeRobot, into its place; without a connection, looks there alone.
+
+    Args:
+        repo_id: For example ``"me/so101"``.
+        revision: Branch, tag or commit; LeRobot's own version tag where None.
+        episodes: The episodes that are needed; all where None.
+
+    Returns:
+        Its folder.
+
+    Raises:
+        DatasetError: The repository or the revision does not exist, may not be read, cannot be reached, or holds a
+            dataset of another format.
+    """
+    from lerobot.datasets import CODEBASE_VERSION, LeRobotDataset
+    from lerobot.datasets.utils import CompatibilityError
+    from lerobot.utils.constants import HF_LEROBOT_HUB_CACHE
+
+    chosen = None if episodes is None else list(episodes)
+    with _in_one_sentence(repo_id, revision, DatasetError):
+        try:
+            return Path(_patiently(lambda: LeRobotDataset(repo_id, episodes=chosen, revision=revision)).root)
+        except (OfflineModeIsEnabled, httpx.TransportError):
+            # LeRobot asks the Hub for versions before it looks at what it has fetched earlier.
+            tag = revision or CODEBASE_VERSION
+            cached = partial(snapshot_download, cache_dir=HF_LEROBOT_HUB_CACHE, local_files_only=True)
+            return Path(cached(repo_id, repo_type="dataset", revision=tag))
+        except (CompatibilityError, NotImplementedError) as error:
+            raise DatasetError(
+                f"{repo_id!r} has no revision of format {revision or CODEBASE_VERSION} on the Hub: convert it with "
+                "LeRobot's own tools first, or ask for another revision."
+            ) from error
+        except RuntimeError as error:
+            if "codebase version" not in str(error):
+                raise
+            raise DatasetError(
+                f"{repo_id!r} on the Hub has no tag of a version, by which LeRobot chooses: name a revision, such "
+                "as --revision=main."
+            ) from error
 
 
 def upload(folder: Path, names: Sequence[str], repo_id: str, private: bool | None, message: str) -> str:
@@ -76,18 +111,32 @@ def upload(folder: Path, names: Sequence[str], repo_id: str, private: bool | Non
     return str(repo)
 
 
+def _patiently[T](fetch: Callable[[], T]) -> T:
+    """Fetches again, a few times, where the Hub fails by its own fault."""
+    for pause in PAUSES_S:
+        try:
+            return fetch()
+        except (HfHubHTTPError, LocalEntryNotFoundError) as error:
+            if (_status(error) or 0) < 500:
+                raise
+            time.sleep(pause)
+    return fetch()
+
+
 @contextmanager
-def _in_one_sentence(repo_id: str, revision: str | None = None) -> Iterator[None]:
+def _in_one_sentence(
+    repo_id: str, revision: str | None = None, refusal: type[BudsError] = CheckpointError
+) -> Iterator[None]:
     try:
         yield
     except HFValidationError as error:
-        raise CheckpointError(
+        raise refusal(
             f"{repo_id!r} is neither a folder on this machine nor the name of a repository, such as 'user/name'."
         ) from error
     except RevisionNotFoundError as error:
-        raise CheckpointError(f"{repo_id!r} has no revision {revision!r} on the Hub.") from error
+        raise refusal(f"{repo_id!r} has no revision {revision!r} on the Hub.") from error
     except (HfHubHTTPError, LocalEntryNotFoundError, OfflineModeIsEnabled, httpx.TransportError) as error:
-        raise CheckpointError(_sentence(repo_id, _status(error))) from error
+        raise refusal(_sentence(repo_id, _status(error))) from error
 
 
 def _status(error: BaseException) -> int | None:

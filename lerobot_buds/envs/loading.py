@@ -1,15 +1,18 @@
 """Loads the simulator at first use, and says in one line what is missing where that fails."""
 
-import ctypes
 import logging
 import os
 import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
+from threading import Lock
 from typing import TYPE_CHECKING
 
 from lerobot_buds.core import SimulatorError
 
-from .rendering import cannot_draw, profile_named
+from .remedies import STARTING_ERRORS, cannot_start
+from .rendering import profile_named
 from .tasks import Task
 
 if TYPE_CHECKING:
@@ -20,6 +23,8 @@ if TYPE_CHECKING:
 ROBOSUITE_VERSION = "1.5.1"
 MUJOCO_RANGE = ((3, 6), (3, 10))
 """MuJoCo versions, from the first up to but without the second, whose bindings robosuite 1.5.1 can use."""
+
+_LOADING = Lock()  # held while the simulator is imported, under a variable of the whole process
 
 _INSTALL = f"pip install 'lerobot_policy_buds[sim]' && pip install --no-deps robosuite=={ROBOSUITE_VERSION}"
 
@@ -56,34 +61,39 @@ def installed_version(distribution: str) -> str | None:
         return None
 
 
+@contextmanager
+def importing_simulator() -> Iterator[None]:
+    """Surrounds the imports of what needs MuJoCo or robosuite, which are made at first use, by any thread.
+
+    Raises:
+        SimulatorError: The simulator is missing, unsupported, or cannot be loaded here; the message says why.
+    """
+    check_versions(installed_version("robosuite"), installed_version("mujoco"))
+    with _LOADING:
+        asked = os.environ.get("MUJOCO_GL")
+        if not asked and platform.system() == "Linux":
+            asked = os.environ["MUJOCO_GL"] = "egl"  # MuJoCo reads this once, when it is imported
+        # At import robosuite warns about optional packages that nothing here uses.
+        logging.getLogger("robosuite_logs").addFilter(_is_error)
+        try:
+            yield
+        except STARTING_ERRORS as error:
+            raise cannot_start(error) from error
+        finally:
+            if asked:  # robosuite writes over it, and worker processes inherit it
+                os.environ["MUJOCO_GL"] = asked
+
+
 def open_simulation(task: Task) -> "TabletopEnv | StockEnv":
     """Builds the robosuite environment of a task.
 
     Raises:
-        SimulatorError: The simulator is missing, unsupported, or cannot load its OpenGL library.
+        SimulatorError: The simulator is missing, unsupported, or cannot be loaded here.
     """
-    check_versions(installed_version("robosuite"), installed_version("mujoco"))
-    # MuJoCo reads this once, when it is imported.
-    if platform.system() == "Linux":
-        os.environ.setdefault("MUJOCO_GL", "egl")
-    quiet_before = logging.root.manager.disable
-    logging.disable(logging.WARNING)  # robosuite warns about optional packages that nothing here uses
-    try:
+    with importing_simulator():
         from .simulation.scenes import build_scene
         from .simulation.stock import StockEnv
         from .simulation.tabletop import TabletopEnv
-
-        logging.getLogger("robosuite_logs").setLevel(logging.ERROR)
-    except (
-        AttributeError,
-        ImportError,
-        OSError,
-        ctypes.ArgumentError,  # these four as PyOpenGL reports a missing library
-        RuntimeError,  # MuJoCo on a backend that it does not know
-    ) as error:
-        raise cannot_draw(error) from error
-    finally:
-        logging.disable(quiet_before)
     return StockEnv(task.name) if task.stock else TabletopEnv(build_scene(task))
 
 
@@ -96,3 +106,7 @@ def open_renderer(simulation: "TabletopEnv | StockEnv", profile: str, size: int)
     from .simulation.renderer import CameraRenderer
 
     return CameraRenderer(simulation.sim, profile_named(profile), size)
+
+
+def _is_error(record: logging.LogRecord) -> bool:
+    return record.levelno >= logging.ERROR

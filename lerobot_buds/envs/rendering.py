@@ -4,10 +4,9 @@ Images of different profiles differ, so a profile is chosen once, recorded with 
 evaluation.
 """
 
-import os
 from dataclasses import dataclass
 
-from lerobot_buds.core import ConfigError, SimulatorError, near_names
+from lerobot_buds.core import ConfigError, near_names
 
 
 @dataclass(frozen=True)
@@ -41,11 +40,3 @@ def profile_named(name: str) -> RenderProfile:
     if name not in PROFILES:
         raise ConfigError(f"There is no render profile {name!r}. {near_names(name, PROFILES)}")
     return PROFILES[name]
-
-
-def cannot_draw(error: Exception) -> SimulatorError:
-    """Words the failure to load or use OpenGL without a display as one line with its remedy."""
-    return SimulatorError(
-        f"The simulator cannot draw: {error}. Install OpenGL (Debian: apt-get install libegl1 libgl1-mesa-dri "
-        f"libopengl0), or set MUJOCO_GL=osmesa; MUJOCO_GL is now {os.environ.get('MUJOCO_GL', 'unset')!r}."
-    )

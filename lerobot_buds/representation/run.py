@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from .reports import Report, kept_report, out_of_patience
 logger = logging.getLogger(__name__)
 
 CHECKPOINT_FILE = "checkpoint.safetensors"
+_DETERMINISTIC = Lock()  # cuDNN's flags belong to the whole process: of two trainings in threads, one waits
 # First number of a seed sequence: independent streams of one user seed.
 _ORDER, _NOISE, _VALIDATION = 0, 1, 3
 
@@ -102,7 +104,7 @@ class TrainingRun:
             ConfigError: The loss diverged.
         """
         start = self._restore(checkpoint, key)
-        with torch.backends.cudnn.flags(deterministic=True, benchmark=False):
+        with _DETERMINISTIC, torch.backends.cudnn.flags(deterministic=True, benchmark=False):
             for step in self._remaining(start):
                 self.step(step)
                 if (step + 1) % self.config.checkpoint_interval == 0 or step + 1 == self.config.steps:

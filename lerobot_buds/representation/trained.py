@@ -7,6 +7,7 @@ from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Lock
 from typing import Any
 
 import torch
@@ -36,6 +37,8 @@ VERSION = 2  # 2: early stopping, backbones, proprioception beside the fused lat
 RECORD_FILE = "representation.json"
 WEIGHTS_FILE = "representation.safetensors"
 REPRESENTATION_FILES = (RECORD_FILE, WEIGHTS_FILE)
+
+_SEEDING = Lock()  # layers draw their weights from a generator of the whole process
 
 _RETRAIN = "remove the folder and train it again"
 
@@ -77,8 +80,9 @@ class Representation:
         """
         cameras, dims = tuple(modalities.cameras), len(modalities.state_dims)
         network: FusionNetwork | FrozenFeatures
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(config.seed)
+        with _SEEDING, torch.random.fork_rng(devices=[]):
+            # Not torch.manual_seed, which would seed the accelerators' generators as well, and for good.
+            torch.default_generator.manual_seed(config.seed)
             if config.backbone is None:
                 network = FusionNetwork(
                     cameras, dims, config.image_size, config.latent_dim, config.proprioception_weight

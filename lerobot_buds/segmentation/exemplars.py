@@ -51,6 +51,6 @@ def read_library(root: Path) -> SkillLibrary:
         return SkillLibrary(features, stored["skills"], stored["episodes"], n_skills, num_keyframes)
     except (FileNotFoundError, SafetensorError, KeyError, ValueError) as error:
         raise SegmentationError(
-            f"{path} holds no exemplars of skills ({type(error).__name__}: {error}). Segment that dataset again with "
-            "lerobot-buds-segment."
+            f"{path} holds no exemplars of skills ({type(error).__name__}: {error}). Fetch that dataset again, or "
+            "segment the one that it was made from into another --output_root."
         ) from error

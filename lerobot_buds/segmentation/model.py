@@ -98,8 +98,8 @@ class SkillModel:
             config = DiscoveryConfig(**record.parameters)
         except TypeError as error:
             raise SegmentationError(
-                f"{root / SEGMENTATION_FILE} has settings that this version does not know ({error}); segment that "
-                "dataset again."
+                f"{root / SEGMENTATION_FILE} has settings that this version does not know ({error}); segment the "
+                "dataset that it was made from into another --output_root."
             ) from error
         return cls(Representation.load(root / REPRESENTATION_DIR), config, read_library(root), record.lineage)
 

@@ -36,7 +36,20 @@ from lerobot_buds.core import (
 SCHEMA_VERSION = 1
 """Raised whenever the record's meaning changes; older records are read, newer ones refused."""
 
-_RERUN = "Re-run segmentation with lerobot-buds-segment on the unsegmented dataset as it is now."
+
+def relabelling(place: Path | str, columns: Sequence[str] = (SKILL_ID, SUBGOAL_INDEX)) -> str:
+    """Says how a dataset with labels that are of no use is segmented as it is now: advice for the end of a message.
+
+    Args:
+        place: Its folder.
+        columns: The label columns that it has.
+    """
+    return (
+        f"To segment it as it is now, take the labels out (lerobot-edit-dataset --repo_id=local/labelled "
+        f"--root={place} --new_repo_id=local/unlabelled --operation.type=remove_feature "
+        f"--operation.feature_names='[{', '.join(columns)}]'), then run lerobot-buds-segment "
+        "--repo_id=local/unlabelled."
+    )
 
 
 @dataclass(frozen=True)
@@ -190,19 +203,21 @@ class SegmentationRecord:
             content = read_json(path)
         except FileNotFoundError as error:
             raise SegmentationError(
-                f"{root} has no segmentation record ({SEGMENTATION_FILE}). Either it was never segmented, or it was "
-                "edited afterwards (lerobot-edit-dataset drops the record, because the labels no longer fit). "
-                "Run lerobot-buds-segment on the dataset as it is now."
+                f"{root} has no segmentation record ({SEGMENTATION_FILE}). If it was never segmented, run "
+                "lerobot-buds-segment on it. If it was edited afterwards, lerobot-edit-dataset dropped the record, "
+                f"because the labels no longer fit. {relabelling(root)}"
             ) from error
         except ValueError as error:
-            raise SegmentationError(f"{path} is damaged ({error}). {_RERUN}") from error
+            raise SegmentationError(f"{path} is damaged ({error}). {relabelling(root)}") from error
         try:
             refuse_newer(
                 path, content["schema_version"], SCHEMA_VERSION, content.get("package_version"), SegmentationError
             )
             return cls._of_json(content)
         except (KeyError, TypeError, ValueError) as error:
-            raise SegmentationError(f"{path} is damaged ({type(error).__name__}: {error}). {_RERUN}") from error
+            raise SegmentationError(
+                f"{path} is damaged ({type(error).__name__}: {error}). {relabelling(root)}"
+            ) from error
 
     @classmethod
     def _of_json(cls, content: dict[str, Any]) -> Self:
@@ -240,6 +255,7 @@ def check_labels(
     starts: IntArray,
     ends: IntArray,
     present: NDArray[np.bool_],
+    place: Path | str = "FOLDER",
 ) -> None:
     """Refuses labels that are not those of the record, as after deleting, merging or reordering episodes.
 
@@ -250,6 +266,7 @@ def check_labels(
         starts: ``(E,)`` absolute index of every episode's first frame.
         ends: ``(E,)`` one past every episode's last frame.
         present: ``(N,)`` frames that exist locally; an episode that is not whole here is passed over.
+        place: The dataset's folder, for the message.
 
     Raises:
         SegmentationError: Labels and record are out of step.
@@ -261,7 +278,7 @@ def check_labels(
         raise SegmentationError(
             f"The dataset has {len(lengths)} episodes of {sum(lengths)} frames, its segmentation record "
             f"{len(record.episodes)} of {record.source.total_frames}{where}. Episodes were deleted, merged or split "
-            f"after the segmentation. {_RERUN}"
+            f"after the segmentation. {relabelling(place)}"
         )
     for number, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
         if not present[start:end].all():
@@ -270,7 +287,7 @@ def check_labels(
         if label_hash(skill_id[start:end], offset) != record.episodes[number].sha256:
             raise SegmentationError(
                 f"The labels of episode {number} (frames {start} to {end - 1}) are not those of the segmentation "
-                f"record. Episodes were reordered or columns changed after the segmentation. {_RERUN}"
+                f"record. Episodes were reordered or columns changed after the segmentation. {relabelling(place)}"
             )
 
 
@@ -293,5 +310,5 @@ def load_labels(root: Path) -> tuple[SegmentationRecord, IntArray, IntArray]:
     record = SegmentationRecord.read(root)
     table = read_table(root, [SKILL_ID, SUBGOAL_INDEX])
     skill_id, subgoal_index = table.columns[SKILL_ID], table.columns[SUBGOAL_INDEX]
-    check_labels(record, skill_id, subgoal_index, table.starts, table.ends, table.present)
+    check_labels(record, skill_id, subgoal_index, table.starts, table.ends, table.present, table.root)
     return record, skill_id, subgoal_index

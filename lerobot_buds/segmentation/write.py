@@ -28,7 +28,7 @@ from lerobot_buds.core import (
 )
 
 from .model import SkillModel
-from .record import SegmentationRecord, load_labels
+from .record import SegmentationRecord, load_labels, relabelling
 
 if TYPE_CHECKING:
     from lerobot.datasets import LeRobotDataset
@@ -108,8 +108,7 @@ def _reserved(source: "AnyDataset", target_root: Path) -> Iterator[None]:
     labelled = [name for name in (SKILL_ID, SUBGOAL_INDEX) if name in LocalDataset(source_root).features]
     if labelled:
         raise SegmentationError(
-            f"{source_root} already has the columns {labelled}. Segment the dataset that it was made from, or remove "
-            "the columns first (lerobot-edit-dataset, operation remove_feature)."
+            f"{source_root} already has the columns {labelled}. {relabelling(source_root, labelled)}"
         )
     if target_root.resolve().is_relative_to(source_root.resolve()):
         raise SegmentationError(f"{target_root} lies in {source_root}, which is only read; choose a target outside.")
@@ -117,7 +116,7 @@ def _reserved(source: "AnyDataset", target_root: Path) -> Iterator[None]:
     try:
         with only_writer(target_root):
             if target_root.exists():
-                raise SegmentationError(f"{target_root} exists already; remove it, or choose another target folder.")
+                raise SegmentationError(f"{target_root} exists already; remove it, or choose another output_root.")
             remove_leftovers(target_root.parent, target_root.name)
             _check_space(target_root, needed)
             yield
@@ -137,7 +136,7 @@ def _check_source(source: "LocalDataset", record: SegmentationRecord) -> None:
         raise SegmentationError(
             f"The segmentation is of {len(record.source.episode_lengths)} episodes with {record.source.total_frames} "
             f"frames at {record.source.fps:g} frames per second, but {source.root} holds {len(lengths)} with "
-            f"{sum(lengths)} at {table.fps:g}, or their lengths differ. Segment this dataset again."
+            f"{sum(lengths)} at {table.fps:g}, or their lengths differ. Segment this one anew."
         )
     require_whole(table)
     require_videos(source)

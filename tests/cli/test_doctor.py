@@ -1,9 +1,10 @@
 """The doctor tells a broken installation from a sound one. Broken ones are described, not produced."""
 
-import os
+import shlex
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,11 +20,14 @@ from lerobot_buds.cli.doctor import (
     check_plugin,
     check_rendering,
     check_simulator,
+    check_store,
     check_versions,
     examine,
     this_installation,
 )
 from lerobot_buds.core import SimulatorError
+from lerobot_buds.data import FrameStore
+from lerobot_buds.envs.remedies import CannotStartError
 
 
 def refuse(*modules: str, error: type[Exception] = ImportError):
@@ -38,7 +42,11 @@ def refuse(*modules: str, error: type[Exception] = ImportError):
 
 
 def fail_to_render():
-    raise SimulatorError("MuJoCo cannot render: no libEGL.")
+    raise CannotStartError("no libEGL", "install it")
+
+
+def lose_the_simulation():
+    raise SimulatorError("The simulation diverged.")
 
 
 SOUND = Installation(
@@ -53,6 +61,7 @@ SOUND = Installation(
     load=refuse(),
     registered=lambda: (["act", "buds"], ["pusht", "robosuite"]),
     render=lambda: np.ones((4, 6, 3), np.uint8),
+    store=lambda: FrameStore(Path("no such folder"), 2**30),
 )
 
 
@@ -80,6 +89,8 @@ def test_a_sound_installation_has_nothing_to_remedy() -> None:
         (check_simulator, installed(mujoco="3.10.0"), "FAIL", "mujoco 3.10.0 (needs <3.10,>=3.6)"),
         (check_simulator, installed(mujoco="3.5.0"), "FAIL", "mujoco 3.5.0"),
         (check_rendering, replace(SOUND, render=fail_to_render), "FAIL", "no libEGL"),
+        (check_rendering, replace(SOUND, render=lose_the_simulation), "FAIL", "diverged"),
+        (check_rendering, replace(SOUND, render=lambda: np.zeros((4, 6, 3), np.uint8)), "FAIL", "nothing but black"),
         (check_decoder, replace(SOUND, load=refuse("torchcodec.decoders")), "warning", "pyav"),
         (check_decoder, replace(SOUND, load=refuse("torchcodec.decoders", error=RuntimeError)), "warning", "pyav"),
         (check_decoder, replace(SOUND, load=refuse("torchcodec.decoders", "av")), "FAIL", "pyav does not load"),
@@ -121,8 +132,9 @@ def test_a_fault_inside_the_plugin_is_not_swallowed_and_comes_last() -> None:
         next(findings)
 
 
-def test_a_machine_without_the_simulator_does_not_try_to_render() -> None:
-    bare = replace(installed(robosuite=None, mujoco=None), render=fail_to_render)
+@pytest.mark.parametrize("absent", [{"robosuite": None, "mujoco": None}, {"robosuite": None}])
+def test_a_machine_without_the_simulator_does_not_try_to_render(absent) -> None:
+    bare = replace(installed(**absent), render=fail_to_render)
     assert check_rendering(bare).status == "ok"
 
 
@@ -134,16 +146,21 @@ def test_the_running_installation_is_described() -> None:
     assert installation.free_bytes > 0
 
 
-@pytest.mark.parametrize(("backend", "said"), [("egl", "sound"), ("crayons", "MUJOCO_GL=crayons")])
-def test_the_probe_draws_or_says_why_not(backend: str, said: str) -> None:
-    script = (
-        "from lerobot_buds.core import SimulatorError\n"
-        "from lerobot_buds.envs.simulation.probe import render_frame\n"
-        "try:\n"
-        "    print('sound', render_frame(32).shape)\n"
-        "except SimulatorError as error:\n"
-        "    print(error)\n"
-    )
-    environment = {**os.environ, "MUJOCO_GL": backend}  # MuJoCo reads it once, at import: hence a process of its own
-    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
-    assert said in done.stdout
+def test_the_store_of_frames_is_shown_with_its_bound_and_how_to_empty_it(tmp_path, monkeypatch) -> None:
+    np.save(tmp_path / "frames.npy", np.ones(2**16))
+    small = replace(SOUND, store=lambda: FrameStore(tmp_path, 2**10))
+    assert check_store(small).status == "warning" and "BUDS_STORE_LIMIT" in check_store(small).remedy
+    large = check_store(replace(SOUND, store=lambda: FrameStore(tmp_path, 2**31)))
+    assert large.status == "ok" and f"of at most 2.0 GiB decoded frames in {tmp_path}" in large.detail
+    subprocess.run(shlex.split(large.detail.partition("to empty it: ")[2].rstrip(")")), check=True)
+    assert FrameStore(tmp_path, 2**31).used_bytes() == 0
+    monkeypatch.setenv("BUDS_STORE_LIMIT", "much")
+    wrong = check_store(replace(SOUND, store=this_installation().store))
+    assert wrong.status == "FAIL" and wrong.remedy == "unset BUDS_STORE_LIMIT"
+    assert check_store(replace(SOUND, store=lambda: refuse("lerobot")("lerobot"))).status == "ok"  # said elsewhere
+
+
+def test_the_doctor_starts_without_lerobot() -> None:
+    """A broken LeRobot is what it is to find."""
+    code = "import sys; import lerobot_buds.cli.doctor; print('lerobot' in sys.modules)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"

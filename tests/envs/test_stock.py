@@ -1,8 +1,13 @@
 """robosuite's own tasks behind the same wrapper."""
 
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
 
 from lerobot_buds.envs import STOCK_TASKS, EnvSettings, RobosuiteEnv
 
@@ -51,3 +56,55 @@ def test_lift_can_be_done():
 
 def test_every_stock_task_has_a_description():
     assert all(task.description and task.stock and not task.stages for task in STOCK_TASKS.values())
+
+
+def starts(task: str, seeds: range) -> list[NDArray[np.float64]]:
+    env = RobosuiteEnv(EnvSettings(task, None, 16, draws=False))
+    found = []
+    for seed in seeds:
+        env.reset(seed=seed)
+        found.append(np.array(env.simulation.sim.data.qpos))
+    env.close()
+    return found
+
+
+def test_a_seed_decides_the_start_in_threads_too():
+    """As lerobot-eval's env.max_parallel_tasks runs them, beside a task of ours, which robosuite draws for as well."""
+    tasks, seeds = ("Lift", "Stack", "hammer_place/full"), range(500_000, 500_005)
+    alone = {task: starts(task, seeds) for task in tasks}
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    with ThreadPoolExecutor(len(tasks)) as threads:
+        together = dict(zip(tasks, threads.map(starts, tasks, [seeds] * len(tasks)), strict=True))
+    for task in tasks:
+        np.testing.assert_array_equal(together[task], alone[task])
+    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+def test_our_own_tasks_leave_the_global_generator_alone():
+    """The array of the state changes only every 624 numbers; the position in it at once."""
+    before = np.random.get_state()[2]  # noqa: NPY002
+    starts("hammer_place/full", range(2))
+    assert np.random.get_state()[2] == before  # noqa: NPY002
+
+
+def test_loading_leaves_logging_as_it_was_however_many_threads_load():
+    script = (
+        "import logging\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from lerobot_buds.envs import EnvSettings, RobosuiteEnv\n"
+        "seen = []\n"
+        "def load(_):\n"
+        "    RobosuiteEnv(EnvSettings('Lift', draws=False)).reset(seed=0)\n"
+        "    seen.append(logging.root.manager.disable)\n"
+        "with ThreadPoolExecutor(3) as threads:\n"
+        "    list(threads.map(load, range(3)))\n"
+        "print(seen)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("[0, 0, 0]\n", "")
+
+
+def test_images_may_be_larger_than_the_window_that_robosuite_plans():
+    env = RobosuiteEnv(EnvSettings("Lift", None, 650, "fastest"))
+    assert env.reset(seed=0)[0]["pixels"]["agentview"].shape == (650, 650, 3)
+    env.close()

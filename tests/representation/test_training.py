@@ -2,6 +2,7 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from safetensors.torch import load_file
 
 from lerobot_buds.core import ConfigError, DatasetError
 from lerobot_buds.representation import (
+    Modalities,
     Representation,
     RepresentationConfig,
     encode_dataset,
@@ -280,3 +282,30 @@ def test_modalities_are_selected_by_name(toy_root: Path, unbroken: tuple[Path, P
 def test_impossible_settings_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ConfigError):
         RepresentationConfig(**wrong)  # type: ignore[arg-type]
+
+
+def test_threads_do_not_mix_what_belongs_to_the_process(toy_root: Path, tmp_path: Path) -> None:
+    """Weights are drawn from PyTorch's own generator, and cuDNN's flags are set, for one thread at a time."""
+    small, deterministic = replace(SMALL, steps=5), torch.backends.cudnn.deterministic
+    modalities = Modalities.select(toy_root, small)
+
+    def train(number: int) -> str:
+        return train_representation(toy_root, replace(small, steps=3 + 3 * number), tmp_path / str(number)).hash
+
+    def draw(seed: int) -> str:
+        return Representation.untrained(modalities, replace(small, seed=seed)).hash
+
+    alone, before = [draw(seed) for seed in range(8)], torch.get_rng_state()
+    with ThreadPoolExecutor(4) as threads:
+        trained_together = threads.map(train, range(2))
+        assert list(threads.map(draw, range(8))) == alone
+        assert len(set(trained_together)) == 2
+    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.backends.cudnn.deterministic == deterministic
+
+
+def test_drawing_weights_leaves_the_accelerators_generators_alone(
+    toy_root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch, "manual_seed", raise_killed)
+    Representation.untrained(Modalities.select(toy_root, SMALL), SMALL)

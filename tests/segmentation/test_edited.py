@@ -1,6 +1,11 @@
 """Labels after LeRobot's own edit tools: used where they are still right, refused where they are out of step."""
 
+import re
+import shlex
 import shutil
+import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +19,10 @@ from lerobot.datasets import (
     remove_feature,
     split_dataset,
 )
+from lerobot.scripts import lerobot_edit_dataset
 
 from lerobot_buds.core import RECORD_DIR, BudsError, SegmentationError
-from lerobot_buds.segmentation import load_labels
+from lerobot_buds.segmentation import SegmentationRecord, check_target, load_labels, write_segmented_dataset
 
 
 @pytest.fixture
@@ -30,9 +36,15 @@ def with_record(root: Path, segmented: Path) -> Path:
     return root
 
 
+def refusal(function: Callable[..., object], *arguments: object) -> str:
+    with pytest.raises(SegmentationError) as caught:
+        function(*arguments)
+    return str(caught.value)
+
+
 def test_every_edit_drops_the_record(dataset: LeRobotDataset, tmp_path: Path) -> None:
     edited = delete_episodes(dataset, [2], tmp_path / "edited", repo_id="test/edited")
-    with pytest.raises(SegmentationError, match=r"no segmentation record.*Run lerobot-buds-segment"):
+    with pytest.raises(SegmentationError, match=r"no segmentation record.*run lerobot-buds-segment"):
         load_labels(Path(edited.root))
 
 
@@ -40,7 +52,8 @@ def test_every_edit_drops_the_record(dataset: LeRobotDataset, tmp_path: Path) ->
 def test_deleted_episodes(dataset: LeRobotDataset, segmented: Path, tmp_path: Path, episode: int) -> None:
     edited = delete_episodes(dataset, [episode], tmp_path / "edited", repo_id="test/edited")
     with pytest.raises(
-        SegmentationError, match=r"has 2 episodes of \d+ frames, its segmentation record 3 of 61.*Re-run"
+        SegmentationError,
+        match=r"has 2 episodes of \d+ frames, its segmentation record 3 of 61.*To segment it as it is now",
     ):
         load_labels(with_record(Path(edited.root), segmented))
 
@@ -73,3 +86,27 @@ def test_edits_that_leave_the_frames_in_place(dataset: LeRobotDataset, segmented
     modify_tasks(LeRobotDataset("test/more", root=root), new_task="open the drawer")
     for ours, theirs in zip(load_labels(root)[1:], load_labels(segmented)[1:], strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_the_advice_for_labels_out_of_step_can_be_followed(
+    dataset: LeRobotDataset,
+    segmented: Path,
+    record: SegmentationRecord,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The commands of the message, word by word: the labels go, and what is left can be segmented."""
+    edited = Path(delete_episodes(dataset, [1], tmp_path / "edited", repo_id="test/edited").root)
+    said = [refusal(load_labels, edited), refusal(check_target, edited, tmp_path / "target")]
+    said.append(refusal(load_labels, with_record(edited, segmented)))
+    pattern = r"\(lerobot-edit-dataset (.*?)\), then run lerobot-buds-segment --repo_id=(.*)\.$"
+    (advice,) = {match.groups() for match in map(partial(re.search, pattern), said) if match}
+    monkeypatch.setattr(sys, "argv", ["lerobot-edit-dataset", *shlex.split(advice[0])])
+    monkeypatch.setattr(lerobot_edit_dataset, "HF_LEROBOT_HOME", tmp_path / "home")
+    lerobot_edit_dataset.main()
+    unlabelled = tmp_path / "home" / advice[1]
+    check_target(unlabelled, tmp_path / "target")
+    labels = [label for number, label in enumerate(record.labels) if number != 1]
+    anew = SegmentationRecord.of_labels(labels, repo_id=advice[1], fps=10, horizon=4, n_skills=3)
+    write_segmented_dataset(unlabelled, tmp_path / "target", "test/again", anew)
+    np.testing.assert_array_equal(load_labels(tmp_path / "target")[1], np.concatenate(labels))

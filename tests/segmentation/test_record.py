@@ -97,7 +97,7 @@ def test_a_damaged_record_is_refused(tmp_path: Path, content: str) -> None:
     path = tmp_path / SEGMENTATION_FILE
     path.parent.mkdir(parents=True)
     path.write_text(content)
-    with pytest.raises(SegmentationError, match=r"(?s)damaged.*Re-run segmentation"):
+    with pytest.raises(SegmentationError, match=r"(?s)damaged.*To segment it as it is now"):
         SegmentationRecord.read(tmp_path)
 
 
@@ -113,13 +113,13 @@ def test_segments_that_do_not_tile_are_refused(record: SegmentationRecord, tmp_p
 def test_a_deleted_episode_is_noticed(record: SegmentationRecord) -> None:
     skill, subgoal, starts, ends, present = columns(record)
     n = ends[0]
-    with pytest.raises(SegmentationError, match=r"2 episodes of 36 frames.*3 of 61.*Re-run segmentation"):
+    with pytest.raises(SegmentationError, match=r"2 episodes of 36 frames.*3 of 61.*To segment it as it is now"):
         check_labels(record, skill[n:], subgoal[n:], starts[1:] - n, ends[1:] - n, present[n:])
 
 
 def test_renumbered_frames_are_noticed(record: SegmentationRecord) -> None:
     skill, subgoal, starts, ends, present = columns(record)
-    with pytest.raises(SegmentationError, match=r"labels of episode 0 .*Re-run segmentation"):
+    with pytest.raises(SegmentationError, match=r"labels of episode 0 .*To segment it as it is now"):
         check_labels(record, skill, subgoal + 1, starts, ends, present)
 
 

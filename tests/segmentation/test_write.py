@@ -88,7 +88,7 @@ def test_a_record_of_another_dataset_is_refused(source: Path, record: Segmentati
         replace(record, source=replace(record.source, fps=20)),
         SegmentationRecord.of_labels(record.labels[:2], repo_id="a/b", fps=10, horizon=4),
     ):
-        with pytest.raises(SegmentationError, match="Segment this dataset again"):
+        with pytest.raises(SegmentationError, match="Segment this one anew"):
             write_segmented_dataset(source, tmp_path / "x", "test/x", other)
     assert beside(tmp_path / "x") == []
 
@@ -162,5 +162,5 @@ def test_labels_are_refused_after_lerobot_edits(segmented: Path, tmp_path: Path)
         load_labels(edited.root)
     (edited.root / SEGMENTATION_FILE).parent.mkdir()
     shutil.copy(segmented / SEGMENTATION_FILE, edited.root / SEGMENTATION_FILE)
-    with pytest.raises(SegmentationError, match="Re-run segmentation"):
+    with pytest.raises(SegmentationError, match="To segment it as it is now"):
         load_labels(edited.root)

@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_buds.envs.rendering import RenderProfile, cannot_draw
+from lerobot_buds.envs.remedies import STARTING_ERRORS, cannot_start
+from lerobot_buds.envs.rendering import RenderProfile
 
 _DRAWN, _HIDDEN = 1, 4
 _ARM_COLOUR = (0.82, 0.82, 0.84, 1.0)
@@ -33,11 +34,11 @@ class CameraRenderer:
 
     def __init__(self, sim: Any, profile: RenderProfile, size: int) -> None:
         self._model, self._data = sim.model._model, sim.data._data
-        _apply(profile, self._model)
+        _apply(profile, self._model, size)
         try:
             self._renderer = mujoco.Renderer(self._model, height=size, width=size)
-        except (AttributeError, ImportError, RuntimeError, mujoco.FatalError) as error:
-            raise cannot_draw(error) from error
+        except (*STARTING_ERRORS, mujoco.FatalError) as error:
+            raise cannot_start(error) from error
         # Runs before MuJoCo's own handler, which ends EGL under every context that is still there.
         atexit.register(self.close)
         self._options = mujoco.MjvOption()
@@ -64,8 +65,10 @@ class CameraRenderer:
         self._renderer.close()
 
 
-def _apply(profile: RenderProfile, model: Any) -> None:
+def _apply(profile: RenderProfile, model: Any, size: int) -> None:
     model.vis.quality.offsamples = profile.multisampling
+    screen = model.vis.global_
+    screen.offwidth, screen.offheight = max(screen.offwidth, size), max(screen.offheight, size)
     if not profile.reflections:
         model.mat_reflectance[:] = 0.0
     if not profile.collision_meshes:

@@ -1,7 +1,5 @@
 """robosuite's own single-arm tasks, with the same control, and with randomness that a generator decides."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -9,6 +7,7 @@ import robosuite
 from numpy.typing import NDArray
 
 from .control import CONTROL_FREQUENCY, hold_hand_down, osc_position_config
+from .lending import global_generator
 from .state import SimulationState
 
 
@@ -20,7 +19,7 @@ class StockEnv:
     """
 
     def __init__(self, name: str) -> None:
-        with _global_generator(np.random.default_rng(0)):  # some tasks draw the sizes of their objects here
+        with global_generator(_seed(np.random.default_rng(0))):  # some tasks draw sizes of objects here
             self._env: Any = robosuite.make(
                 name,
                 robots="Panda",
@@ -42,7 +41,7 @@ class StockEnv:
 
     def reset_with(self, rng: np.random.Generator) -> None:
         """Starts an episode whose every random choice is drawn from `rng`."""
-        with _global_generator(rng):
+        with global_generator(_seed(rng)):
             self._env.reset()
         hold_hand_down(self._env.robots[0])
 
@@ -63,12 +62,5 @@ class StockEnv:
         self._env.close()
 
 
-@contextmanager
-def _global_generator(rng: np.random.Generator) -> Iterator[None]:
-    """Lends robosuite numpy's global generator, from which it draws, seeded from `rng`; it is as before afterwards."""
-    before = np.random.get_state()  # noqa: NPY002
-    np.random.seed(rng.integers(2**32))  # noqa: NPY002
-    try:
-        yield
-    finally:
-        np.random.set_state(before)  # noqa: NPY002
+def _seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(2**32))

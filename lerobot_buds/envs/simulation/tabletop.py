@@ -17,6 +17,7 @@ from robosuite.models.arenas import TableArena
 from robosuite.models.tasks import ManipulationTask
 
 from .control import CONTROL_FREQUENCY, hold_hand_down, osc_position_config
+from .lending import global_generator
 from .primitives import Primitive
 from .state import SimulationState
 
@@ -77,25 +78,27 @@ class TabletopEnv(ManipulationEnv):  # type: ignore[misc]  # robosuite ships no 
         self.scene = scene
         self._rng = np.random.default_rng(0)
         self._latched: set[str] = set()
-        super().__init__(
-            robots="Panda",
-            base_types="default",
-            gripper_types="default",
-            controller_configs=osc_position_config(),
-            initialization_noise=None,
-            use_camera_obs=False,
-            has_renderer=False,
-            has_offscreen_renderer=False,
-            control_freq=CONTROL_FREQUENCY,
-            ignore_done=True,
-            hard_reset=False,
-        )
+        with global_generator(0):  # robosuite draws the start noise that it then multiplies by 0
+            super().__init__(
+                robots="Panda",
+                base_types="default",
+                gripper_types="default",
+                controller_configs=osc_position_config(),
+                initialization_noise=None,
+                use_camera_obs=False,
+                has_renderer=False,
+                has_offscreen_renderer=False,
+                control_freq=CONTROL_FREQUENCY,
+                ignore_done=True,
+                hard_reset=False,
+            )
         self.state = SimulationState(self.sim)
 
     def reset_with(self, rng: np.random.Generator) -> None:
         """Starts an episode whose every random choice is drawn from `rng`."""
         self._rng = rng
-        self.reset()
+        with global_generator(0):  # as above
+            self.reset()
 
     def facts(self) -> dict[str, bool]:
         """Evaluates the scene's predicates in the present state, and what its latches remember of this episode."""
