@@ -18,8 +18,8 @@ class RepresentationConfig:
     """Image features to fuse; all of the dataset where None, none of them where empty."""
 
     proprioception: list[str] | None = None
-    """Shell-style patterns of the ``observation.state`` names to fuse; none where empty. None for all dimensions (ours),
-    but for end effector position and gripper fingers (code) of our own environments, which are told by all names."""
+    """Shell-style patterns of the ``observation.state`` names to fuse; none where empty. None for all dimensions (ours);
+    end effector and gripper fingers (code) where all names are those of our own environments."""
 
     proprioception_weight: float = 4.0
     """How far apart proprioception puts two frames beside what is fused or seen: the ratio of their standard deviations
