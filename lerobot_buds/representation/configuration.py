@@ -18,7 +18,7 @@ class RepresentationConfig:
     """Image features to fuse; all of the dataset where None, none of them where empty."""
 
     proprioception: list[str] | None = None
-    """Shell-style patterns of the ``observation.state`` names to fuse; none where empty. None for all dimensions (ours);
+    """Shell-style patterns of the ``observation.state`` names to fuse; none where empty. None for all of them (ours);
     end effector and gripper fingers (code) where all names are those of our own environments."""
 
     proprioception_weight: float = 4.0

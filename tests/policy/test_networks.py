@@ -6,7 +6,8 @@ from torch import nn
 from lerobot_buds.core import ACTION, EYE_IN_HAND_CAMERA, STATE, WORKSPACE_CAMERA
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.encoders import SpatialSoftmax, make_conv_trunk, make_norm
-from lerobot_buds.policy.images import random_shift, scale_images
+from lerobot_buds.data import scale_images
+from lerobot_buds.policy.images import random_shift
 from lerobot_buds.policy.meta_controller import MetaController
 from lerobot_buds.policy.skills import SkillLibrary
 
