@@ -4,9 +4,9 @@ from lerobot.configs import FeatureType, PolicyFeature
 from torch import nn
 
 from lerobot_buds.core import ACTION, EYE_IN_HAND_CAMERA, STATE, WORKSPACE_CAMERA
+from lerobot_buds.data import scale_images
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.encoders import SpatialSoftmax, make_conv_trunk, make_norm
-from lerobot_buds.data import scale_images
 from lerobot_buds.policy.images import random_shift
 from lerobot_buds.policy.meta_controller import MetaController
 from lerobot_buds.policy.skills import SkillLibrary
@@ -85,8 +85,14 @@ def test_random_shift_is_pad_and_crop_with_one_shift_per_sample(padding):
 
 
 def test_scaling_averages_areas():
-    images = torch.rand(2, 3, 8, 8)
-    torch.testing.assert_close(scale_images(images, (4, 4)), images.unfold(2, 2, 2).unfold(3, 2, 2).mean((-1, -2)))
+    levels = torch.randint(0, 256, (2, 3, 8, 8), dtype=torch.uint8)
+    images = levels.float() / 255
+    areas = images.unfold(2, 2, 2).unfold(3, 2, 2).mean((-1, -2))
+    torch.testing.assert_close(scale_images(images, (4, 4)), areas, rtol=0, atol=0.5 / 255 + 1e-6)
+    # Bytes and floats, whichever way they lie in memory, come out as the same levels.
+    expected = scale_images(levels, (4, 4)).float() / 255
+    for laid_out in (images, images.contiguous(memory_format=torch.channels_last)):
+        assert torch.equal(scale_images(laid_out, (4, 4)), expected)
     assert torch.equal(scale_images(images, (8, 8)), images)
 
 
