@@ -141,7 +141,7 @@ def _check(config: RolloutConfig) -> None:
 def _guide(config: RolloutConfig, task: Task, checkpoint: Checkpoint) -> Guide | None:
     if config.dataset_root is None:
         return None
-    guide = Guide.open(config.dataset_root, task, checkpoint.policy.config, config.neighbors)
+    guide = Guide.open(config.dataset_root, task, checkpoint.policy.config, config.neighbors, checkpoint.renamed)
     if config.skills_from == STAGES and not len(guide.stages):
         raise DatasetError(
             f"{config.dataset_root} does not tell the stages of {task.name}: skills_from=stages needs them."

@@ -31,7 +31,7 @@ class RobosuiteEnvConfig(EnvConfig):  # type: ignore[misc]  # LeRobot ships no t
     """
 
     task: str = "multitask_kitchen/task3_variant1"
-    fps: int = FPS
+    fps: float = FPS
     episode_length: int | None = None
     image_size: int = 128
     render_profile: str = "fast"
@@ -76,7 +76,7 @@ class RobosuiteEnvConfig(EnvConfig):  # type: ignore[misc]  # LeRobot ships no t
             SimulatorError: The simulator is missing or of an unsupported version.
         """
         if self.fps != FPS:
-            raise ConfigError(f"robosuite tasks run at {FPS} control steps per second, not at {self.fps}.")
+            raise ConfigError(f"robosuite tasks run at {FPS} control steps per second, not at {self.fps:g}.")
         check_versions(installed_version("robosuite"), installed_version("mujoco"))
         suites: dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]] = {}
         for task in tasks_named(self.task):

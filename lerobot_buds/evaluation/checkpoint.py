@@ -1,6 +1,7 @@
 """A checkpoint of policy ``buds`` with LeRobot's processing around it, ready for one task. Imports LeRobot on use."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +28,14 @@ class Checkpoint:
         preprocess: From LeRobot's batch of observations to the policy's.
         postprocess: From the policy's actions to the environment's.
         sha256: Hash of its settings and weights.
+        renamed: Name of a feature of the environment -> the policy's, as it was trained (LeRobot's ``rename_map``).
     """
 
     policy: "BudsPolicy"
     preprocess: "Callable[[dict[str, Any]], dict[str, Any]]"
     postprocess: "Callable[[Tensor], Tensor]"
     sha256: str
+    renamed: Mapping[str, str] = field(default_factory=dict)
 
 
 def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: str | None = None) -> Checkpoint:
@@ -49,6 +52,7 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
             are not the environment's.
         ConfigError: It was not trained on the task.
     """
+    from draccus.utils import ParsingError
     from lerobot.configs import PreTrainedConfig
     from lerobot.policies import make_policy, make_pre_post_processors
 
@@ -57,19 +61,33 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
 
     folder = Path(name) if Path(name).is_dir() else download(name, ["*.json", "*.safetensors"])
     _check_files(folder)
-    config = PreTrainedConfig.from_pretrained(folder)
+    try:
+        config = PreTrainedConfig.from_pretrained(folder)
+    except ParsingError as error:
+        raise CheckpointError(
+            f"{folder / CONFIG_FILE} has settings that this version does not understand ({error}): use the version of "
+            "this package that wrote it, or train again."
+        ) from error
     config.pretrained_path = folder
     config.device = device or config.device
     check_environment(config, env.fps, env.render_profile)
     task_number(config, task.description)
-    policy = make_policy(config, env_cfg=env)
     preprocess, postprocess = make_pre_post_processors(
         config,
         pretrained_path=str(folder),
         preprocessor_overrides={"device_processor": {"device": str(config.device)}},
     )
+    renamed = _renamed(preprocess)
+    policy = make_policy(config, env_cfg=env, rename_map=renamed)
     files = [sha256_of_file(folder / file) for file in (CONFIG_FILE, WEIGHTS_FILE)]
-    return Checkpoint(policy, preprocess, postprocess, sha256_of_json(files))
+    return Checkpoint(policy, preprocess, postprocess, sha256_of_json(files), renamed)
+
+
+def _renamed(preprocess: Any) -> dict[str, str]:
+    from lerobot.processor import RenameObservationsProcessorStep
+
+    steps = [step for step in preprocess.steps if isinstance(step, RenameObservationsProcessorStep)]
+    return {old: new for step in steps for old, new in step.rename_map.items()}
 
 
 def _check_files(folder: Path) -> None:

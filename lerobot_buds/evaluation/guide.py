@@ -3,7 +3,7 @@
 torch and LeRobot are imported on use.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_buds.core import (
+    COLLECTION_FILE,
     IMAGE_PREFIX,
     STATE,
     TRUE_STAGE,
@@ -71,7 +72,14 @@ class Guide:
     neighbors: int = NEIGHBORS
 
     @classmethod
-    def open(cls, root: Path, task: Task, config: "BudsConfig", neighbors: int = NEIGHBORS) -> Self:
+    def open(
+        cls,
+        root: Path,
+        task: Task,
+        config: "BudsConfig",
+        neighbors: int = NEIGHBORS,
+        renamed: Mapping[str, str] | None = None,
+    ) -> Self:
         """Opens the segmented dataset that a policy was trained on.
 
         Args:
@@ -79,6 +87,7 @@ class Guide:
             task: The task whose demonstrations are to be asked.
             config: The policy's settings.
             neighbors: Demonstrations that are asked at a decision.
+            renamed: Name of a camera in the dataset -> the policy's, where these differ.
 
         Raises:
             SegmentationError: It is not segmented, or its labels are out of step.
@@ -97,7 +106,9 @@ class Guide:
         representation.network.to(str(config.device))
         frames = DemonstrationFrames(latents, starts, ends, skills, subgoals, record.n_skills, config.meta_period)
         stages = _stages(root, task) if TRUE_STAGE in LocalDataset(root).features else np.empty(0, dtype=np.int64)
-        goals = cached_frames(root, config.stacked_cameras[0], size=config.image_shape)
+        stored = LocalDataset(root).features
+        known = {old: new for old, new in (renamed or {}).items() if old in stored}
+        goals = cached_frames(LocalDataset(root, renamed=known), config.stacked_cameras[0], size=config.image_shape)
         return cls(frames, goals, stages, representation, record.labels_hash, neighbors)
 
     def latents(self, observation: dict[str, Any], rows: IntArray) -> FloatArray:
@@ -178,5 +189,11 @@ def _stages(root: Path, task: Task) -> IntArray:
     if not set(task.stages) <= set(names):
         return np.empty(0, dtype=np.int64)
     numbers = np.array([task.stages.index(name) if name in task.stages else -1 for name in names], dtype=np.int64)
-    stages: IntArray = numbers[read_table(root, [TRUE_STAGE]).columns[TRUE_STAGE]]
+    stored = read_table(root, [TRUE_STAGE]).columns[TRUE_STAGE].astype(np.int64)  # of whatever number type
+    if len(stored) and not 0 <= stored.min() <= stored.max() < len(names):
+        raise DatasetError(
+            f"{root}: {TRUE_STAGE!r} goes from {stored.min()} to {stored.max()}, but {COLLECTION_FILE} names "
+            f"{len(names)} stages; fetch the dataset again, or leave dataset_root out."
+        )
+    stages: IntArray = numbers[stored]
     return stages

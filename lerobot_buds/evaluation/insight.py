@@ -97,7 +97,7 @@ def summary_table(record: RolloutRecord) -> str:
     return "".join(f"{name:<{width}}{value}\n" for name, value in rows)
 
 
-def _stage(name: str, steps: Sequence[int | None], fps: int) -> dict[str, Any]:
+def _stage(name: str, steps: Sequence[int | None], fps: float) -> dict[str, Any]:
     seconds = [step / fps for step in steps if step is not None]
     return {"name": name, "done": len(seconds), "episodes": len(steps), "mean_seconds": _mean(seconds)}
 

@@ -50,7 +50,7 @@ def _order(episode: Episode) -> tuple[bool, int, int]:
     return (not episode.success, 0 if episode.success else -done, episode.length)
 
 
-def _last_second(episodes: Sequence[Episode], fps: int) -> float:
+def _last_second(episodes: Sequence[Episode], fps: float) -> float:
     """Chooses where the picture ends: hands that wander until the time limit must not squeeze all that matters."""
     whole = max(episode.length for episode in episodes)
     successes = [episode.length for episode in episodes if episode.success]
@@ -59,7 +59,7 @@ def _last_second(episodes: Sequence[Episode], fps: int) -> float:
     return min(whole, max(telling)) / fps
 
 
-def _mark_row(axes: "Axes", row: int, episode: Episode, failure: str | None, fps: int, end: float) -> None:
+def _mark_row(axes: "Axes", row: int, episode: Episode, failure: str | None, fps: float, end: float) -> None:
     """Marks when stages were done, and how the episode ended."""
     for number, step in enumerate(episode.stage_steps):
         if step is not None and step / fps <= end:

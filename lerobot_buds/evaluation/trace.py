@@ -145,7 +145,7 @@ class RolloutRecord:
     settings: Mapping[str, Any]
     task: str
     stages: tuple[str, ...]
-    fps: int
+    fps: float
     n_skills: int
     period: int
     episodes: tuple[Episode, ...] = ()

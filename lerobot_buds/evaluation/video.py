@@ -1,6 +1,7 @@
 """The video of an episode: both cameras, and under them the ribbon of its skills. Imports Pillow and PyAV on use."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,7 +40,7 @@ class RibbonBand:
         width: Width of the band (pixels).
     """
 
-    def __init__(self, episode: Episode, stages: Sequence[str], fps: int, n_skills: int, width: int) -> None:
+    def __init__(self, episode: Episode, stages: Sequence[str], fps: float, n_skills: int, width: int) -> None:
         self._episode, self._stages, self._fps, self._width = episode, stages, fps, width
         shades = np.array(list(label_colors(range(n_skills), "skills").values()))[:, :3] * 255
         self._colors = shades.astype(np.uint8)
@@ -94,7 +95,7 @@ class RibbonBand:
 
 
 def episode_frames(
-    episode: Episode, pictures: Sequence[Picture], stages: Sequence[str], fps: int, n_skills: int
+    episode: Episode, pictures: Sequence[Picture], stages: Sequence[str], fps: float, n_skills: int
 ) -> Iterator[Picture]:
     """Draws the frames of an episode's video, one at a time.
 
@@ -116,7 +117,7 @@ def episode_frames(
         yield frame[: len(frame) // 2 * 2, : factor * width // 2 * 2]
 
 
-def write_video(path: Path, frames: Iterable[Picture], fps: int) -> None:
+def write_video(path: Path, frames: Iterable[Picture], fps: float) -> None:
     """Writes frames as MP4 (H.264), atomically; like LeRobot's own writer, but without holding them all at once.
 
     Args:
@@ -128,7 +129,7 @@ def write_video(path: Path, frames: Iterable[Picture], fps: int) -> None:
 
     def write(part: Path) -> None:
         with av.open(str(part), "w", format="mp4") as container:  # the part's name does not tell the format
-            stream = container.add_stream("libx264", rate=fps)
+            stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))  # 29.97 as well
             stream.pix_fmt = "yuv420p"
             for frame in frames:
                 stream.height, stream.width = frame.shape[:2]

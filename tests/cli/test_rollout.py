@@ -161,6 +161,8 @@ def test_a_folder_that_is_no_checkpoint_of_this_policy_is_refused(settings, chec
     assert "type 'act'" in refusal()
     write_json(broken / "config.json", content | {"segmentation": "0" * 64})
     assert "other labels" in refusal()
+    write_json(broken / "config.json", content | {"of_a_later_version": 1})
+    assert "settings that this version does not understand" in refusal()
     (broken / "config.json").write_text("{")
     assert "damaged" in refusal()
     (broken / "model.safetensors").unlink()

@@ -1,5 +1,6 @@
 """LeRobot's environment type ``robosuite``, the names it takes, the versions it needs."""
 
+import draccus
 import pytest
 from lerobot.configs import FeatureType
 from lerobot.envs import EnvConfig
@@ -55,6 +56,10 @@ def test_unknown_names_are_refused_with_the_known_ones(wrong, said):
     with pytest.raises(ConfigError, match=said) as error:
         RobosuiteEnvConfig(**wrong)
     assert "\n" not in str(error.value)
+
+
+def test_a_frame_rate_may_be_written_with_a_point():
+    assert list(draccus.decode(RobosuiteEnvConfig, {"task": "Lift", "fps": "20.0"}).create_envs(1)) == ["Lift"]
 
 
 def test_another_frame_rate_is_refused():

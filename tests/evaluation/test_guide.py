@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from lerobot_buds.core import IMAGE_PREFIX, STATE, CheckpointError, DatasetError, write_json
+from lerobot_buds.core import IMAGE_PREFIX, STATE, TRUE_STAGE, CheckpointError, DatasetError, read_json, write_json
 from lerobot_buds.data import cached_frames, read_table, scale_images
 from lerobot_buds.envs import TASKS
 from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
+from lerobot_buds.evaluation import guide as guide_module
 from lerobot_buds.evaluation.checkpoint import Checkpoint, load_checkpoint
 from lerobot_buds.evaluation.episodes import Decider, EpisodeRecorder
 from lerobot_buds.evaluation.guide import Advice, Guide
@@ -125,6 +126,48 @@ def test_a_dataset_with_the_stages_of_others_tells_none(segmented: Path, policy:
     copy = shutil.copytree(segmented, tmp_path / "copy")
     write_json(copy / "meta/buds/collection.json", {"version": 2, "stages": ["grasp_tool", "close_drawer"]})
     assert len(Guide.open(copy, TASK, policy.policy.config).stages) == 0
+    write_json(copy / "meta/buds/collection.json", {"version": 2, "stages": list(TASK.stages)[:1]})
+    assert len(Guide.open(copy, TASK, policy.policy.config).stages) == 0
+
+
+def test_stages_of_any_number_type_are_read_and_damaged_ones_named(
+    segmented: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stages = guide_module._stages(segmented, TASK)
+    table = read_table(segmented, [TRUE_STAGE])
+    for dtype in (np.float32, np.uint8):
+        typed = replace(table, columns={TRUE_STAGE: table.columns[TRUE_STAGE].astype(dtype)})
+        monkeypatch.setattr("lerobot_buds.data.read_table", lambda *_, typed=typed: typed)
+        np.testing.assert_array_equal(guide_module._stages(segmented, TASK), stages)
+    wrong = replace(table, columns={TRUE_STAGE: table.columns[TRUE_STAGE] + 50})
+    monkeypatch.setattr("lerobot_buds.data.read_table", lambda *_: wrong)
+    with pytest.raises(DatasetError, match=r"'true_stage' goes from 50 to \d+, but .* names \d+ stages"):
+        guide_module._stages(segmented, TASK)
+
+
+def test_a_policy_that_was_trained_with_renamed_cameras_is_guided(
+    segmented: Path, checkpoint: Path, policy: Checkpoint, guide: Guide, tmp_path: Path
+) -> None:
+    """LeRobot's rename_map is kept in the checkpoint's processor; goals are those of the same camera."""
+    names = {
+        IMAGE_PREFIX + "agentview": IMAGE_PREFIX + "camera1",
+        IMAGE_PREFIX + "eye_in_hand": IMAGE_PREFIX + "camera2",
+    }
+    copy = shutil.copytree(checkpoint, tmp_path / "renamed")
+    for path in copy.glob("*.json"):
+        text = path.read_text()
+        for old, new in names.items():
+            text = text.replace(old, new)
+        path.write_text(text)
+    processor = read_json(copy / "policy_preprocessor.json")
+    (step,) = [step for step in processor["steps"] if step["registry_name"] == "rename_observations_processor"]
+    step["config"]["rename_map"] = names
+    write_json(copy / "policy_preprocessor.json", processor)
+    renamed = load_checkpoint(str(copy), ENV, TASK)
+    assert renamed.renamed == names and policy.renamed == {}
+    assert renamed.policy.config.cameras == list(names.values())
+    guided = Guide.open(segmented, TASK, renamed.policy.config, 3, renamed.renamed)
+    np.testing.assert_array_equal(guided.goals, guide.goals)
 
 
 def info(done: tuple[bool, bool], success: bool = False, error: str = "") -> dict[str, object]:

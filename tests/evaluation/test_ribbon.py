@@ -75,16 +75,17 @@ def test_the_band_names_the_skill_and_the_stage_that_was_done() -> None:
     assert 100 < before[tick].max() < 200 < after[tick].max()  # dim until the stage is done
 
 
-def test_an_episodes_video_plays_at_its_pace(tmp_path) -> None:
+@pytest.mark.parametrize("fps", [20, 29.97, 12.5])
+def test_an_episodes_video_plays_at_its_pace(tmp_path, fps: float) -> None:
     pictures = [np.full((9, 18, 3), 10 * step, dtype=np.uint8) for step in range(13)]
     run = episode(1, (6, 6), False, (None, None))
-    frames = list(episode_frames(run, pictures, ("reach", "grasp"), 20, 3))
+    frames = list(episode_frames(run, pictures, ("reach", "grasp"), fps, 3))
     assert {frame.shape for frame in frames} == {(9 * 29 // 2 * 2 + 72, 18 * 29, 3)}
-    write_video(tmp_path / "deep/video.mp4", iter(frames), 20)
+    write_video(tmp_path / "deep/video.mp4", iter(frames), fps)
     with av.open(str(tmp_path / "deep/video.mp4")) as container:
         stream = container.streams.video[0]
         decoded = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
-        assert (stream.codec_context.name, float(stream.average_rate)) == ("h264", 20.0)
+        assert (stream.codec_context.name, float(stream.average_rate)) == ("h264", fps)
     assert len(decoded) == 13 and decoded[0].shape == frames[0].shape
     for step, frame in enumerate(decoded):
         assert abs(float(frame[:200].mean()) - 10 * step) < 6
