@@ -39,10 +39,10 @@ class CompareConfig:
     repo_id: str
     """The dataset; it needs the column ``true_stage``, as scripted demonstrations have it."""
 
-    root: str | None = None
+    root: Path | None = None
     """Its folder; None for LeRobot's own place for `repo_id`."""
 
-    work_dir: str | None = None
+    work_dir: Path | None = None
     """Keeps the representations and the results; None for ``outputs/compare/`` and the dataset's name."""
 
     seeds: int = 3
@@ -113,7 +113,7 @@ def _signal(root: Path, patterns: list[str]) -> list[FloatArray]:
 def main() -> None:
     """Entry point of the console script."""
     config = parse(CompareConfig)
-    work_dir = Path(config.work_dir or Path("outputs/compare") / config.repo_id)
+    work_dir = Path("outputs/compare") / config.repo_id if config.work_dir is None else Path(config.work_dir)
     results = run(lambda: run_comparison(config, work_dir))
     print(comparison_table(results), end="")
     print(f"Picture and figures are in {work_dir}.")

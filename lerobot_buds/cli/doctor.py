@@ -13,7 +13,6 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import Literal
 
-import draccus
 import numpy as np
 from numpy.typing import NDArray
 from packaging.requirements import Requirement
@@ -21,6 +20,8 @@ from packaging.utils import canonicalize_name
 
 from lerobot_buds.core import SimulatorError
 from lerobot_buds.envs.loading import ROBOSUITE_VERSION
+
+from .running import parse
 
 DISTRIBUTION = "lerobot_policy_buds"
 """The installed name, and the module that LeRobot imports because of it; a dashed name would not be discovered."""
@@ -214,7 +215,7 @@ class DoctorConfig:
 
 def main() -> None:
     """Prints one line per check as it finishes, and exits with status 1 where any failed."""
-    draccus.parse(DoctorConfig)
+    parse(DoctorConfig)
     failed = False
     for finding in examine(this_installation()):
         print(finding, flush=True)

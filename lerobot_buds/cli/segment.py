@@ -40,16 +40,16 @@ class SegmentConfig:
     repo_id: str
     """The dataset to segment; it is only read."""
 
-    root: str | None = None
+    root: Path | None = None
     """Its folder; None for LeRobot's own place for `repo_id`, where it is downloaded if it is missing."""
 
     output_repo_id: str | None = None
     """Name of the labelled copy; None for `repo_id` with ``_skills`` behind it."""
 
-    output_root: str | None = None
+    output_root: Path | None = None
     """Its folder, which must not exist; None for LeRobot's own place for its name."""
 
-    work_dir: str | None = None
+    work_dir: Path | None = None
     """Keeps the representation and the pictures; None for ``outputs/segment/`` and the copy's name."""
 
     subgoal_horizon_s: float = 1.5
@@ -88,8 +88,8 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
         CheckpointError: The representation or the library cannot be had, or does not fit the dataset.
     """
     root = local_root(config.repo_id, config.root)
-    output_repo_id = config.output_repo_id or f"{config.repo_id}_skills"
-    work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
+    output_repo_id = f"{config.repo_id}_skills" if config.output_repo_id is None else config.output_repo_id
+    work_dir = Path("outputs/segment") / output_repo_id if config.work_dir is None else Path(config.work_dir)
     output = dataset_root(output_repo_id, config.output_root)
     if not is_main_process(config.representation):
         if config.library is None and config.representation_path is None:
@@ -160,7 +160,7 @@ def _check_data(root: Path, cameras: list[str] | None, with_state: bool) -> None
 
 
 def _record(
-    config: SegmentConfig, fps: int, found: DiscoveredSkills, stages: list[IntArray] | None
+    config: SegmentConfig, fps: float, found: DiscoveredSkills, stages: list[IntArray] | None
 ) -> SegmentationRecord:
     model = found.model
     library = config.library and {"name": config.library, "grown": config.grow, "lineage": list(model.lineage)}
@@ -205,7 +205,7 @@ def main() -> None:
         print("  agreement with the true stages: " + _in_words(record.agreement))
 
 
-def local_root(repo_id: str, root: str | None) -> Path:
+def local_root(repo_id: str, root: str | Path | None) -> Path:
     """Tells where a dataset lies on this machine, after downloading it where it is missing and has no folder given."""
     place = dataset_root(repo_id, root)
     if not (place / "meta" / "info.json").exists() and root is None:

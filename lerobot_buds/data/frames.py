@@ -175,7 +175,7 @@ def _video_frames(files: DatasetFiles, camera: str) -> Iterator[tuple[int, Frame
             yield from _frames_of_file(path, records, camera, files.fps)
 
 
-def _frames_of_file(path: Path, records: list[dict[str, Any]], camera: str, fps: int) -> Iterator[tuple[int, Frames]]:
+def _frames_of_file(path: Path, records: list[dict[str, Any]], camera: str, fps: float) -> Iterator[tuple[int, Frames]]:
     """Places every decoded frame by its time, the way LeRobot finds it, and counts the frames of each episode."""
     records = sorted(records, key=lambda record: float(record[f"videos/{camera}/from_timestamp"]))
     begins = [float(record[f"videos/{camera}/from_timestamp"]) for record in records]

@@ -37,7 +37,7 @@ class FrameTable:
     """
 
     root: Path
-    fps: int
+    fps: float
     starts: IntArray
     ends: IntArray
     columns: dict[str, NDArray[Any]]
@@ -99,13 +99,13 @@ class DatasetFiles:
         return features
 
     @property
-    def fps(self) -> int:
-        """Frame rate (frames per second).
+    def fps(self) -> float:
+        """Frame rate (frames per second), exactly as it is stored.
 
         Raises:
             DatasetError: It is outside `FPS_RANGE`.
         """
-        fps = int(self.info["fps"])
+        fps: float = self.info["fps"]
         if not FPS_RANGE[0] <= fps <= FPS_RANGE[1]:
             raise DatasetError(f"{self.root}/meta/info.json: fps={fps} is outside {FPS_RANGE}; correct it.")
         return fps

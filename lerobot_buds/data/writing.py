@@ -9,12 +9,23 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from lerobot_buds.core import DatasetError, StorageError, read_json, remove_leftovers, write_atomically, write_json
+from lerobot_buds.core import (
+    ConfigError,
+    DatasetError,
+    StorageError,
+    read_json,
+    remove_leftovers,
+    write_atomically,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from lerobot.datasets import LeRobotDataset
 
 _LONGEST = 100_000
+
+SMALLEST_VIDEO = 32
+"""Pixels a side of the smallest video; LeRobot's encoder, SVT-AV1, crashes the process on images of under 28."""
 
 
 def camera_feature(shape: tuple[int, ...], video: bool) -> dict[str, Any]:
@@ -69,18 +80,42 @@ def make_once(path: Path, write: Callable[[Path], None]) -> None:
             write_atomically(path, write)
 
 
+def require_encodable(features: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuses cameras that LeRobot's video encoder cannot encode: SVT-AV1 ends the whole process on tiny images.
+
+    Every dataset passes here when it is created; call it earlier where much is done before that.
+
+    Args:
+        features: LeRobot's features, images as ``(H, W, 3)``.
+
+    Raises:
+        ConfigError: A video is too small; names its camera and size.
+    """
+    for name, feature in features.items():
+        height, width = feature["shape"][:2] if feature["dtype"] == "video" else (SMALLEST_VIDEO, SMALLEST_VIDEO)
+        if min(height, width) < SMALLEST_VIDEO:
+            raise ConfigError(
+                f"{name!r} is {width} x {height} pixels, but video has at least {SMALLEST_VIDEO} a side: choose larger "
+                "images, or store images instead of video with --video=false."
+            )
+
+
 def create_dataset(
-    repo_id: str, root: Path, fps: int, features: Mapping[str, Mapping[str, Any]], robot_type: str | None = None
+    repo_id: str, root: Path, fps: float, features: Mapping[str, Mapping[str, Any]], robot_type: str | None = None
 ) -> "LeRobotDataset":
     """Creates an empty dataset to write to; its user finalizes it.
 
     Args:
         repo_id: The dataset's name.
         root: Its folder, which must not exist.
-        fps: Frame rate (frames per second).
+        fps: Frame rate (frames per second), kept as it is: a whole number best as an int, as LeRobot's own are.
         features: LeRobot's features.
         robot_type: The robot's name, where it is known.
+
+    Raises:
+        ConfigError: A camera's images are too small for video.
     """
+    require_encodable(features)
     os.environ.setdefault("SVT_LOG", "1")  # errors only; the encoder describes itself at length otherwise
     import av.logging
     from datasets import disable_progress_bars

@@ -4,7 +4,9 @@ import ctypes
 import logging
 import os
 import platform
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lerobot_buds.core import SimulatorError
@@ -13,6 +15,7 @@ from .rendering import cannot_draw, profile_named
 from .tasks import Task
 
 if TYPE_CHECKING:
+    from .simulation.playback import ModelPlayback
     from .simulation.renderer import CameraRenderer
     from .simulation.stock import StockEnv
     from .simulation.tabletop import TabletopEnv
@@ -95,4 +98,27 @@ def open_renderer(simulation: "TabletopEnv | StockEnv", profile: str, size: int)
     """
     from .simulation.renderer import CameraRenderer
 
-    return CameraRenderer(simulation.sim, profile_named(profile), size)
+    sim = simulation.sim
+    return CameraRenderer(sim.model._model, sim.data._data, profile_named(profile), size)
+
+
+def open_playback(xml: str, folders: Sequence[Path], origin: str) -> "ModelPlayback":
+    """Loads a model that somebody saved with demonstrations, to play their states back.
+
+    Args:
+        xml: The model's text.
+        folders: Where its meshes and textures are searched before the installed robosuite.
+        origin: Where the model is from, for messages.
+
+    Raises:
+        SimulatorError: The simulator is missing, unsupported, or cannot load its OpenGL library.
+        DatasetError: The model does not load here.
+    """
+    check_versions(installed_version("robosuite"), installed_version("mujoco"))
+    if platform.system() == "Linux":
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    try:
+        from .simulation.playback import ModelPlayback
+    except (AttributeError, ImportError, OSError, ctypes.ArgumentError, RuntimeError) as error:
+        raise cannot_draw(error) from error
+    return ModelPlayback(xml, folders, origin)

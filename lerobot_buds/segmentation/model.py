@@ -166,7 +166,7 @@ def _root(dataset: "LeRobotDataset | Path") -> Path:
     return dataset if isinstance(dataset, Path) else Path(dataset.root)
 
 
-def _encoded(dataset: "LeRobotDataset | Path", representation: "Representation") -> tuple[list[FloatArray], int]:
+def _encoded(dataset: "LeRobotDataset | Path", representation: "Representation") -> tuple[list[FloatArray], float]:
     from lerobot_buds.data import DatasetFiles
     from lerobot_buds.representation import encode_dataset
 

@@ -50,7 +50,7 @@ class SourceDescription:
     """
 
     repo_id: str
-    fps: int
+    fps: float
     episode_lengths: tuple[int, ...]
 
     @property
@@ -111,7 +111,7 @@ class SegmentationRecord:
         labels: Sequence[IntArray],
         *,
         repo_id: str,
-        fps: int,
+        fps: float,
         horizon: int,
         n_skills: int | None = None,
         **description: Any,
