@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,7 +125,7 @@ def create_dataset(
     av.logging.set_libav_level(av.logging.ERROR)  # LeRobot resets the level that set_level sets
     disable_progress_bars()
     video = any(feature["dtype"] == "video" for feature in features.values())
-    return LeRobotDataset.create(
+    dataset = LeRobotDataset.create(
         repo_id=repo_id,
         root=root,
         fps=fps,
@@ -135,6 +136,11 @@ def create_dataset(
         encoder_queue_maxsize=_LONGEST,  # a full queue would silently drop frames: longer than any episode
         image_writer_threads=0 if video else 4,
     )
+    encoder = getattr(dataset.writer, "_streaming_encoder", None)
+    if encoder is not None and fps != int(fps):
+        # LeRobot hands its rate to FFmpeg as it is, which takes whole numbers and fractions: 29.97 is 2997/100.
+        encoder.fps = Fraction(fps).limit_denominator(100_000)
+    return dataset
 
 
 def sort_stats(folder: Path) -> None:

@@ -117,6 +117,18 @@ class PlayedDemonstrations:
                 )
         return columns
 
+    def bodies(self, name: str) -> dict[str, NDArray[np.float64]]:
+        """Reads where things are: truth that a policy does not see and a dataset does not hold.
+
+        Args:
+            name: Name of a demonstration, a key of `lengths`.
+
+        Returns:
+            Position in the world (m) of every body that moves freely, ``(T, 3)`` by its name.
+        """
+        model, states = self._playback(name), self._states[name][self._picked[name]]
+        return {body: model.body_positions(states, body) for body in model.free_bodies}
+
     def close(self) -> None:
         """Frees what draws."""
         if self._model is not None:
@@ -203,5 +215,6 @@ def _state_names(model: "ModelPlayback") -> list[str]:
     names = [f"{name}.pos" for name in (short if len(set(short)) == len(short) else model.joints)]
     if short[:7] == _PANDA_JOINTS and ["finger_joint" in name for name in short[7:]] in ([], [True, True]):
         names = STATE_NAMES[: len(short)]
-    hands = model.hands
-    return names + [f"{'eef' if len(hands) == 1 else hand}_{axis}" for hand in hands for axis in "xyz"]
+    if len(model.hands) == 1:
+        return names + STATE_NAMES[9:]
+    return names + [f"{hand}_{axis}.pos" for hand in model.hands for axis in "xyz"]

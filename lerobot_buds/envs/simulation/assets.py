@@ -67,11 +67,14 @@ def port_model(xml: str, folders: Sequence[Path], origin: str) -> PortedModel:
 
 def _unbracket(root: Element, ported: PortedModel) -> None:
     """Writes ``[0, 0, 1]``, which MuJoCo read once, as ``0 0 1``."""
+    rewritten = []
     for element in root.iter():
         for name, value in element.items():
             if match := _BRACKETS.fullmatch(value.strip()):
                 element.set(name, match[1].replace(",", " "))
-                ported.changes.append(f"{element.tag} {element.get('name')!r}: {name} was written {value!r}")
+                rewritten.append(f"{name}={value!r}")
+    if rewritten:
+        ported.changes.append(f"read without brackets: {len(rewritten)} attributes such as {rewritten[0]}")
 
 
 def _index(folder: Path) -> dict[str, list[Path]]:
