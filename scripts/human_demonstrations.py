@@ -159,7 +159,7 @@ def without_fumbles(closed: IntArray) -> IntArray:
         shortest = min(range(len(segments)), key=lambda number: segments[number].length)
         if segments[shortest].length >= FUMBLE_S * FPS:
             break
-        flipped = [replace(s, label=1 - s.label) if n == shortest else s for n, s in enumerate(segments)]
+        flipped = [s._replace(label=1 - s.label) if n == shortest else s for n, s in enumerate(segments)]
         segments = segments_of(labels_of(flipped))
     return labels_of(segments)
 
