@@ -26,7 +26,7 @@ class CollectConfig:
     episodes: int = 40
     """Number of successful demonstrations wanted of each task."""
 
-    root: str | None = None
+    root: Path | None = None
     """The dataset's folder; None for LeRobot's own place for `repo_id`."""
 
     seed: int = 0

@@ -36,7 +36,7 @@ from .running import parse, run
 class CompareConfig(DatasetOptions):
     """Settings of a comparison; the dataset needs the column ``true_stage``, as scripted demonstrations have it."""
 
-    work_dir: str | None = None
+    work_dir: Path | None = None
     """Keeps the representations and the results; None for ``outputs/compare/`` and the dataset's name."""
 
     seeds: int = 3
@@ -103,7 +103,7 @@ def _signal(dataset: LocalDataset, patterns: list[str], setting: str) -> list[Fl
 def main() -> None:
     """Entry point of the console script."""
     config = parse(CompareConfig)
-    work_dir = Path(config.work_dir or Path("outputs/compare") / config.repo_id)
+    work_dir = Path("outputs/compare") / config.repo_id if config.work_dir is None else Path(config.work_dir)
     results = run(lambda: run_comparison(config, work_dir))
     print(comparison_table(results), end="")
     print(f"Picture and figures are in {work_dir}.")

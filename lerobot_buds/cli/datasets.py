@@ -1,6 +1,7 @@
 """The settings that name a dataset, the same in every command that reads one."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from lerobot_buds.core import TRUE_STAGE, IntArray
 from lerobot_buds.data import AnyDataset, LocalDataset, download_dataset, read_table
@@ -15,7 +16,7 @@ class DatasetOptions:
     repo_id: str
     """The dataset; it is only read."""
 
-    root: str | None = None
+    root: Path | None = None
     """Its folder; None for LeRobot's own place for `repo_id`, where it is downloaded if it is missing."""
 
     revision: str | None = None

@@ -13,7 +13,6 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import draccus
 import numpy as np
 from numpy.typing import NDArray
 from packaging.requirements import Requirement
@@ -26,6 +25,8 @@ from lerobot_buds.envs.remedies import CannotStartError, backend
 
 if TYPE_CHECKING:
     from lerobot_buds.data import FrameStore
+
+from .running import parse
 
 DISTRIBUTION = "lerobot_policy_buds"
 """The installed name, and the module that LeRobot imports because of it; a dashed name would not be discovered."""
@@ -245,7 +246,7 @@ class DoctorConfig:
 
 def main() -> None:
     """Prints one line per check as it finishes, and exits with status 1 where any failed."""
-    draccus.parse(DoctorConfig)
+    parse(DoctorConfig)
     failed = False
     for finding in examine(this_installation()):
         print(finding, flush=True)

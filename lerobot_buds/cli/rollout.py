@@ -158,7 +158,7 @@ def _settings(
         "labels": guide and guide.labels,
         "representation": guide and guide.representation.hash,
         "task": task.name,
-        "episode_length": env.episode_length or task.max_steps,
+        "episode_length": task.max_steps if env.episode_length is None else env.episode_length,
         **{name: getattr(env, name) for name in ("image_size", "render_profile", "released")},
         **{
             name: getattr(config, name)

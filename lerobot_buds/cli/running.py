@@ -3,21 +3,38 @@
 import logging
 import sys
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
 import draccus
 from draccus.utils import ParsingError
+from yaml import YAMLError
 
 from lerobot_buds.core import BudsError
 
+from .texts import keep_texts, require_texts
+
 
 def parse[T](settings: type[T]) -> T:
-    """Reads a command's settings from its arguments; where they cannot work, ends the program with the reason."""
+    """Reads a command's settings from its arguments; where they cannot work, ends the program with the reason.
+
+    Text stays the text that was typed, and paths are absolute from here on: libraries that take a path as text see a
+    URL in a relative ``run-10:30``.
+
+    Args:
+        settings: Dataclass of the settings.
+    """
     try:
-        config: T = draccus.parse(settings)
+        arguments = keep_texts(settings, sys.argv[1:])
+        require_texts(settings, arguments)
+        config: T = draccus.parse(settings, args=arguments)
     except ParsingError as error:
         # draccus says only which class refused, not why.
         raise SystemExit(f"error: {error.__cause__ if isinstance(error.__cause__, BudsError) else error}") from error
+    except (BudsError, OSError, YAMLError) as error:
+        raise SystemExit(f"error: {error}") from error
+    _resolve_paths(config)
     return config
 
 
@@ -32,10 +49,20 @@ def run[T](command: Callable[[], T]) -> T:
         sys.exit("interrupted; run the same command again to go on")
 
 
-def dataset_root(repo_id: str, root: str | None) -> Path:
-    """Tells where a dataset lives: the folder given, or LeRobot's own place for its name."""
+def dataset_root(repo_id: str, root: str | Path | None) -> Path:
+    """Tells where a dataset lives: the folder given, or LeRobot's own place for its name; absolute."""
     if root is not None:
-        return Path(root)
+        return Path(root).absolute()
     from lerobot.utils.constants import HF_LEROBOT_HOME
 
-    return Path(HF_LEROBOT_HOME) / repo_id
+    return Path(HF_LEROBOT_HOME).absolute() / repo_id
+
+
+def _resolve_paths(config: Any) -> None:
+    """Makes every path among settings absolute; frozen ones, which libraries share, hold none."""
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if isinstance(value, Path):
+            setattr(config, field.name, value.absolute())
+        elif is_dataclass(value):
+            _resolve_paths(value)

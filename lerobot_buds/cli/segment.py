@@ -42,10 +42,10 @@ class SegmentConfig(DatasetOptions):
     output_repo_id: str | None = None
     """Name of the labelled copy of the chosen episodes; None for `repo_id` with ``_skills`` behind it."""
 
-    output_root: str | None = None
+    output_root: Path | None = None
     """Its folder, which must not exist; None for LeRobot's own place for its name."""
 
-    work_dir: str | None = None
+    work_dir: Path | None = None
     """Keeps the representation and the pictures; None for ``outputs/segment/`` and the copy's name."""
 
     subgoal_horizon_s: float = 1.5
@@ -84,8 +84,8 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
         CheckpointError: The representation or the library cannot be had, or does not fit the dataset.
     """
     dataset = config.open()
-    output_repo_id = config.output_repo_id or f"{config.repo_id}_skills"
-    work_dir = Path(config.work_dir or Path("outputs/segment") / output_repo_id)
+    output_repo_id = f"{config.repo_id}_skills" if config.output_repo_id is None else config.output_repo_id
+    work_dir = Path("outputs/segment") / output_repo_id if config.work_dir is None else Path(config.work_dir)
     output = dataset_root(output_repo_id, config.output_root)
     if not is_main_process(config.representation):
         _take_share(config, dataset, work_dir)

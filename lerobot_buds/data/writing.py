@@ -3,18 +3,30 @@
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from lerobot_buds.core import DatasetError, StorageError, read_json, remove_leftovers, write_atomically, write_json
+from lerobot_buds.core import (
+    ConfigError,
+    DatasetError,
+    StorageError,
+    read_json,
+    remove_leftovers,
+    write_atomically,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from lerobot.datasets import LeRobotDataset
 
 _LONGEST = 100_000
+
+SMALLEST_VIDEO = 32
+"""Pixels a side of the smallest video; LeRobot's encoder, SVT-AV1, crashes the process on images of under 28."""
 
 
 def camera_feature(shape: tuple[int, ...], video: bool) -> dict[str, Any]:
@@ -69,18 +81,42 @@ def make_once(path: Path, write: Callable[[Path], None]) -> None:
             write_atomically(path, write)
 
 
+def require_encodable(features: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuses cameras that LeRobot's video encoder cannot encode: SVT-AV1 ends the whole process on tiny images.
+
+    Every dataset passes here when it is created; call it earlier where much is done before that.
+
+    Args:
+        features: LeRobot's features, images as ``(H, W, 3)``.
+
+    Raises:
+        ConfigError: A video is too small; names its camera and size.
+    """
+    for name, feature in features.items():
+        height, width = feature["shape"][:2] if feature["dtype"] == "video" else (SMALLEST_VIDEO, SMALLEST_VIDEO)
+        if min(height, width) < SMALLEST_VIDEO:
+            raise ConfigError(
+                f"{name!r} is {width} x {height} pixels, but video has at least {SMALLEST_VIDEO} a side: choose larger "
+                "images, or store images instead of video with --video=false."
+            )
+
+
 def create_dataset(
-    repo_id: str, root: Path, fps: int, features: Mapping[str, Mapping[str, Any]], robot_type: str | None = None
+    repo_id: str, root: Path, fps: float, features: Mapping[str, Mapping[str, Any]], robot_type: str | None = None
 ) -> "LeRobotDataset":
     """Creates an empty dataset to write to; its user finalizes it.
 
     Args:
         repo_id: The dataset's name.
         root: Its folder, which must not exist.
-        fps: Frame rate (frames per second).
+        fps: Frame rate (frames per second), kept as it is: a whole number best as an int, as LeRobot's own are.
         features: LeRobot's features.
         robot_type: The robot's name, where it is known.
+
+    Raises:
+        ConfigError: A camera's images are too small for video.
     """
+    require_encodable(features)
     os.environ.setdefault("SVT_LOG", "1")  # errors only; the encoder describes itself at length otherwise
     import av.logging
     from datasets import disable_progress_bars
@@ -89,7 +125,7 @@ def create_dataset(
     av.logging.set_libav_level(av.logging.ERROR)  # LeRobot resets the level that set_level sets
     disable_progress_bars()
     video = any(feature["dtype"] == "video" for feature in features.values())
-    return LeRobotDataset.create(
+    dataset = LeRobotDataset.create(
         repo_id=repo_id,
         root=root,
         fps=fps,
@@ -100,6 +136,11 @@ def create_dataset(
         encoder_queue_maxsize=_LONGEST,  # a full queue would silently drop frames: longer than any episode
         image_writer_threads=0 if video else 4,
     )
+    encoder = getattr(dataset.writer, "_streaming_encoder", None)
+    if encoder is not None and fps != int(fps):
+        # LeRobot hands its rate to FFmpeg as it is, which takes whole numbers and fractions: 29.97 is 2997/100.
+        encoder.fps = Fraction(fps).limit_denominator(100_000)
+    return dataset
 
 
 def sort_stats(folder: Path) -> None:

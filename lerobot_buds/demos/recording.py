@@ -42,7 +42,14 @@ from lerobot_buds.core import (
     write_json,
 )
 from lerobot_buds.data.collection import RECORD_VERSION
-from lerobot_buds.data.writing import camera_feature, create_dataset, sort_stats, vector_feature, write_episode
+from lerobot_buds.data.writing import (
+    camera_feature,
+    create_dataset,
+    require_encodable,
+    sort_stats,
+    vector_feature,
+    write_episode,
+)
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, Task, tasks_named
 
 from .attempts import Attempt, attempt_in_worker
@@ -55,8 +62,6 @@ EVALUATION_SEEDS = 100_000
 """Seeds from here on are for evaluation, never for demonstrations."""
 
 _HOPELESS_AFTER = 20
-_SMALLEST_VIDEO = 32
-"""Pixels a side; LeRobot's video encoder, SVT-AV1, crashes the process on images of under 28."""
 
 
 @dataclass(frozen=True)
@@ -149,10 +154,11 @@ def _check_numbers(recording: Recording) -> None:
         ("episodes", recording.episodes, 1),
         ("workers", recording.workers, 1),
         ("seed", recording.seed, 0),
-        ("image_size", recording.settings[0].image_size, _SMALLEST_VIDEO if recording.video else 1),
+        ("image_size", recording.settings[0].image_size, 1),
     ):
         if value < least:
             raise ConfigError(f"{name}={value} cannot work; it must be at least {least}.")
+    require_encodable(_features(recording))
     # The most seeds that are tried before the demonstrator is given up.
     if recording.seed + 2 * recording.episodes + _HOPELESS_AFTER >= EVALUATION_SEEDS:
         raise ConfigError(f"Seeds from {EVALUATION_SEEDS} on are for evaluation; choose a smaller seed.")

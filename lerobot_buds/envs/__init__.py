@@ -1,5 +1,6 @@
 """The robosuite tasks as LeRobot environments. Importing this loads neither LeRobot nor the simulator."""
 
+from .loading import open_playback
 from .rendering import PROFILES, RenderProfile, profile_named
 from .robosuite_env import ACTION_NAMES, CAMERAS, FPS, REACH, STATE_NAMES, EnvSettings, Observation, RobosuiteEnv
 from .tasks import STAGE_FACTS, STOCK_TASKS, TASKS, Task, tasks_named
@@ -23,6 +24,7 @@ __all__ = [
     "RobosuiteEnv",
     "SimulationView",
     "Task",
+    "open_playback",
     "profile_named",
     "tasks_named",
 ]

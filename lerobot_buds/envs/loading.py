@@ -3,9 +3,10 @@
 import logging
 import os
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from .rendering import profile_named
 from .tasks import Task
 
 if TYPE_CHECKING:
+    from .simulation.playback import ModelPlayback
     from .simulation.renderer import CameraRenderer
     from .simulation.stock import StockEnv
     from .simulation.tabletop import TabletopEnv
@@ -105,7 +107,25 @@ def open_renderer(simulation: "TabletopEnv | StockEnv", profile: str, size: int)
     """
     from .simulation.renderer import CameraRenderer
 
-    return CameraRenderer(simulation.sim, profile_named(profile), size)
+    sim = simulation.sim
+    return CameraRenderer(sim.model._model, sim.data._data, profile_named(profile), size)
+
+
+def open_playback(xml: str, folders: Sequence[Path], origin: str) -> "ModelPlayback":
+    """Loads a model that somebody saved with demonstrations, to play their states back.
+
+    Args:
+        xml: The model's text.
+        folders: Where its meshes and textures are searched before the installed robosuite.
+        origin: Where the model is from, for messages.
+
+    Raises:
+        SimulatorError: The simulator is missing, unsupported, or cannot load its OpenGL library.
+        DatasetError: The model does not load here.
+    """
+    with importing_simulator():
+        from .simulation.playback import ModelPlayback
+    return ModelPlayback(xml, folders, origin)
 
 
 def _is_error(record: logging.LogRecord) -> bool:

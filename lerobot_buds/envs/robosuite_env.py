@@ -98,7 +98,9 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.task = self._task.name
         self.task_description = self._task.description
         self.stages = self._task.stages
-        self._max_episode_steps = settings.max_steps or self._task.max_steps
+        self._max_episode_steps = self._task.max_steps if settings.max_steps is None else settings.max_steps
+        if self._max_episode_steps < 1:
+            raise ConfigError(f"episode_length={self._max_episode_steps} cannot work; it must be at least 1 step.")
         size = settings.image_size
         image = gym.spaces.Box(0, 255, (size, size, 3), np.uint8)
         self.observation_space = gym.spaces.Dict(

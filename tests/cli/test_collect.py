@@ -17,7 +17,7 @@ def test_arguments_become_settings():
     config = draccus.parse(
         collect.CollectConfig, args=["--repo_id=me/demos", "--episodes=3", "--video=false", "--root=there", "--seed=5"]
     )
-    assert config == collect.CollectConfig("me/demos", episodes=3, video=False, root="there", seed=5)
+    assert config == collect.CollectConfig("me/demos", episodes=3, video=False, root=Path("there"), seed=5)
     assert config.task == "multitask_kitchen/task3_variant1" and config.render_profile == "fast"
 
 
@@ -29,7 +29,7 @@ def test_arguments_become_settings():
         (["--episodes=0"], "episodes=0 cannot work"),
         (["--episodes=many"], "Couldn't parse 'many' into an int"),
         (["--seed=100000"], "Seeds from 100000 on are for evaluation"),
-        (["--image_size=16"], "image_size=16 cannot work"),
+        (["--image_size=16"], "is 16 x 16 pixels, but video has at least 32"),
         (["--repo_id="], "The dataset has no name"),
         (["--task=tool_use/full,Lift"], "no demonstrator for robosuite's own tasks: Lift"),
     ],

@@ -5,8 +5,9 @@ from threading import Event, Thread
 
 import pytest
 
-from lerobot_buds.core import DatasetError, StorageError
+from lerobot_buds.core import ConfigError, DatasetError, StorageError
 from lerobot_buds.data import make_once, only_writer
+from lerobot_buds.data.writing import camera_feature, create_dataset
 
 
 def test_a_second_writer_is_refused_and_the_next_is_not(tmp_path: Path) -> None:
@@ -55,3 +56,12 @@ def test_a_file_is_made_once_without_what_a_kill_left(tmp_path: Path) -> None:
         thread.join()
     assert path.read_text() == "whole" and len(made) == 1
     assert [p.name for p in path.parent.iterdir() if p.suffix != ".lock"] == ["a.npy"]
+
+
+@pytest.mark.parametrize("shape", [(31, 64, 3), (64, 16, 3)])
+def test_no_dataset_of_video_that_ends_the_process_is_created(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    features = {"observation.images.hand": camera_feature(shape, video=True)}
+    with pytest.raises(ConfigError, match=f"'observation.images.hand' is {shape[1]} x {shape[0]} pixels"):
+        create_dataset("test/x", tmp_path / "x", 20, features)
+    assert not (tmp_path / "x").exists()
+    create_dataset("test/x", tmp_path / "x", 20, {"observation.images.hand": camera_feature(shape, video=False)})

@@ -13,8 +13,7 @@ from lerobot_buds.cli.import_hdf5 import main
 from lerobot_buds.core import ConfigError, DatasetError, read_json, sha256_of_file
 from lerobot_buds.data import cached_frames, read_table
 from lerobot_buds.demos import importing
-from lerobot_buds.demos.hdf5 import open_demonstrations
-from lerobot_buds.demos.hdf5_layouts import Source
+from lerobot_buds.demos.hdf5 import Source, open_demonstrations
 from lerobot_buds.demos.importing import Import, Imported, import_demonstrations
 from lerobot_buds.envs import ACTION_NAMES, STATE_NAMES
 
@@ -157,7 +156,7 @@ def test_other_arrays_flipped_images_and_filters(robomimic: Path) -> None:
         robomimic,
         cameras={"front": "robot0_eye_in_hand_image"},
         state=("robot0_eef_pos", "robot0_joint_pos"),
-        flip=True,
+        orientation="flipped",
         filter_key="train",
     )
     with open_demonstrations(source) as demonstrations:
@@ -210,7 +209,7 @@ def test_an_interrupted_import_goes_on(robomimic: Path, monkeypatch: pytest.Monk
     staging = robomimic.parent / "out/.dataset.import"
     (staging / "merged").mkdir()  # what a kill while merging leaves
     with pytest.raises(DatasetError, match="other settings"):
-        imported(robomimic, video, flip=True)
+        imported(robomimic, video, orientation="flipped")
     root, result = imported(robomimic, video)
     assert len(written) == 4 and result.episodes == 4
     assert read_table(root, ["action"]).columns["action"].shape == (sum(LENGTHS.values()), 4)

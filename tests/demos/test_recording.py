@@ -201,7 +201,7 @@ def test_images_are_stored_as_they_are_drawn(recording, tmp_path):
         ({"workers": -1}, "workers=-1 cannot work"),
         (
             {"settings": (EnvSettings("multitask_kitchen/task3_variant1", None, 16),)},
-            "image_size=16 cannot work; it must be at least 32",
+            "is 16 x 16 pixels, but video has at least 32 a side",
         ),
     ],
 )

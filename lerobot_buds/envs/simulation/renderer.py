@@ -24,7 +24,8 @@ class CameraRenderer:
     It belongs to the process and thread that makes it.
 
     Args:
-        sim: robosuite's simulation; the looks of its compiled model are changed to fit the profile.
+        model: MuJoCo's compiled model, whose looks are changed to fit the profile.
+        data: MuJoCo's state, which is drawn.
         profile: What to draw.
         size: Height and width of the images (pixels).
 
@@ -32,8 +33,8 @@ class CameraRenderer:
         SimulatorError: OpenGL cannot draw without a display here.
     """
 
-    def __init__(self, sim: Any, profile: RenderProfile, size: int) -> None:
-        self._model, self._data = sim.model._model, sim.data._data
+    def __init__(self, model: Any, data: Any, profile: RenderProfile, size: int) -> None:
+        self._model, self._data = model, data
         _apply(profile, self._model, size)
         try:
             self._renderer = mujoco.Renderer(self._model, height=size, width=size)
