@@ -42,6 +42,9 @@ from lerobot_buds.data.writing import (
 
 from .hdf5 import Demonstrations, Source, files_of, open_demonstrations
 
+CHECKED_SIDE = 128
+"""Side (pixels) at which frames are kept that were read back: that of the default representation, the next to read them."""
+
 logger = logging.getLogger(__name__)
 
 _SAME_RATE = 1e-4
@@ -235,7 +238,7 @@ def _merge(
     if written != lengths:
         raise DatasetError(f"{merged}: the episodes have {written} frames, the source {lengths}. This is a bug.")
     columns = [STATE, ACTION] if demonstrations.state_names else [ACTION]
-    warnings = check_demonstrations(merged, list(demonstrations.image_shapes), columns, cache_dir)
+    warnings = check_demonstrations(merged, list(demonstrations.image_shapes), columns, cache_dir, CHECKED_SIDE)
     write_json(merged / COLLECTION_FILE, record)
     merged.rename(plan.root)
     return warnings
