@@ -43,7 +43,7 @@ from lerobot_buds.data.writing import (
 from .hdf5 import Demonstrations, Source, files_of, open_demonstrations
 
 CHECKED_SIDE = 128
-"""Side (pixels) at which frames are kept that were read back: that of the default representation, the next to read them."""
+"""Side (pixels) at which frames that were read back are kept: of the default representation, their next reader."""
 
 logger = logging.getLogger(__name__)
 
