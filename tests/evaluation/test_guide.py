@@ -165,7 +165,7 @@ def test_a_policy_that_was_trained_with_renamed_cameras_is_guided(
     write_json(copy / "policy_preprocessor.json", processor)
     renamed = load_checkpoint(str(copy), ENV, TASK)
     assert renamed.renamed == names and policy.renamed == {}
-    assert renamed.policy.config.cameras == list(names.values())
+    assert renamed.policy.config.stacked_cameras == list(names.values())
     guided = Guide.open(segmented, TASK, renamed.policy.config, 3, renamed.renamed)
     np.testing.assert_array_equal(guided.goals, guide.goals)
 
