@@ -34,6 +34,10 @@ ASSETS = "robosuite/models/assets/"
 FUMBLE_S = 0.5
 """A grip that a person corrects within this time (s) is no step of the task."""
 
+BRIEF_S = 0.5
+"""What a skill lasts at least (s) to be counted in a round: boundaries are scored no finer."""
+
+NOTHING = "nothing"
 LIFTED_M = 0.04
 """What the hand carries is at least this much higher than where it lay (m)."""
 
@@ -80,9 +84,20 @@ RECORDINGS = {
 
 SETTINGS = {
     "default": DiscoveryConfig(),
-    # One episode is one example of every skill: few skills, or each round of the same work becomes a skill of its own.
-    "few": DiscoveryConfig(max_skills=4, segments_per_episode=16, search="best_first"),
+    # The defaults ask for ten skills, of which one episode or two have hardly two examples each: here the number that
+    # parts the segments best is taken, and an exact number of segments instead of at least twice the skills.
+    "auto": DiscoveryConfig(n_skills="auto", segments_per_episode=16, search="best_first"),
+    # The same, told how many skills the gripper knows: with an empty hand, and with a full one.
+    "two": DiscoveryConfig(n_skills=2, segments_per_episode=16, search="best_first"),
 }
+
+SHOWN = {
+    "panda_pick_place": "auto",
+    "panda_nut_assembly": "auto",
+    "sawyer_pick_place": "two",
+    "sawyer_nut_assembly": "two",
+}
+"""Setting with which a task is drawn beside the default one."""
 
 
 @dataclass
@@ -95,8 +110,8 @@ class HumanConfig:
     pictures: Path | None = None
     """Folder of the pictures; None for the output's."""
 
-    seeds: int = 3
-    """Seeds of the representation and of the clustering, from 0."""
+    seeds: int = 1
+    """Number of seeds of the representation and of the clustering, from 0."""
 
 
 def fetch(version: str, cache: Path) -> Path:
@@ -171,7 +186,7 @@ def rounds(episode: Episode) -> list[tuple[int, int, str]]:
         if segment.label:
             lifted = {body: float(h[segment.start : segment.end].max()) for body, h in episode.heights.items()}
             body, height = max(lifted.items(), key=lambda pair: pair[1])
-            found.append((begin, segment.end, body if height > LIFTED_M else "nothing"))
+            found.append((begin, segment.end, body if height > LIFTED_M else NOTHING))
             begin = segment.end
     return found
 
@@ -184,14 +199,16 @@ def score(episodes: Sequence[Episode], labels: Sequence[IntArray]) -> dict[str, 
         for episode, found in zip(episodes, labels, strict=True)
         for begin, end, what in rounds(episode)
     ]
-    carried = [part for _, what, part in parts if what != "nothing"]
+    words = [(name, what, [s for s in segments_of(part) if s.length >= BRIEF_S * FPS]) for name, what, part in parts]
     return {
         **asdict(agreement(labels, closed, FPS)),
         "n_skills": len(set(np.concatenate(labels).tolist())),
         "segments": [len(segments_of(found)) for found in labels],
         "gripper_segments": [len(segments_of(grip)) for grip in closed],
-        "distance_of_rounds": label_distance(carried),
-        "rounds": [[name, what, [s.label for s in segments_of(part)]] for name, what, part in parts],
+        "distance_of_rounds": label_distance(
+            [np.array([s.label for s in w]) for _, what, w in words if what != NOTHING]
+        ),
+        "rounds": [[name, what, [s.label for s in word]] for name, what, word in words],
     }
 
 
@@ -210,7 +227,7 @@ def main() -> None:
     output, pictures = config.output.absolute(), (config.pictures or config.output).absolute()
     results_file = output / "results.json"
     results: dict[str, dict[str, object]] = read_json(results_file) if results_file.exists() else {}
-    shown: dict[str, list[tuple[Episode, IntArray]]] = {}
+    found: dict[tuple[str, str], list[tuple[Episode, IntArray]]] = {}
     for name, recording in RECORDINGS.items():
         assets, root = fetch(recording.version, output / "wheels"), output / "datasets" / name
         import_recording(name, assets, root)
@@ -221,11 +238,12 @@ def main() -> None:
                 results[f"{name}, {setting}, seed {seed}"] = score(episodes, labels)
                 write_json(results_file, results)
                 if seed == 0:
-                    shown.setdefault(setting, []).extend(zip(episodes, labels, strict=True))
-    for setting, drawn in shown.items():
-        for episode, labels in drawn[:2]:  # the Panda's
-            draw_episode(pictures / f"human_{episode.name.split()[0]}_{setting}.png", episode, labels, FPS)
-        draw_ribbons(pictures / f"human_sawyer_{setting}.png", drawn[2:], FPS)
+                    found[name, setting] = list(zip(episodes, labels, strict=True))
+    for name, setting in SHOWN.items():
+        episode, labels = found[name, setting][0]
+        draw_episode(pictures / f"human_{name}.png", episode, labels, FPS)
+    for name, of in (("default", dict.fromkeys(RECORDINGS, "default")), ("ribbons", SHOWN)):
+        draw_ribbons(pictures / f"human_{name}.png", [row for key in of.items() for row in found[key]], FPS)
     print(table(results, config.seeds))
 
 
@@ -249,6 +267,8 @@ _SCORES = ("boundary_f1", "boundary_precision", "boundary_recall", "nmi", "n_ski
 
 def _spread(values: list[float]) -> str:
     digits = 0 if all(value == int(value) and value > 1 for value in values) else 2
+    if min(values) == max(values):
+        return f"{values[0]:.{digits}f}"
     return f"{np.mean(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
 

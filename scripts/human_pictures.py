@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH, DPI = 12.0, 100
-THUMBNAILS = 14
+THUMBNAILS = 10
 _CLOSED, _OPEN = "#33373d", "#d9dce1"
 _COLORS = 255
 
@@ -155,7 +155,7 @@ def _heights(axes: "Axes", episode: Episode, fps: float) -> None:
         )
     low, high = min(h.min() for h in episode.heights.values()), max(h.max() for h in episode.heights.values())
     axes.set_ylim(low - 0.02, high * 1.3)
-    axes.set_ylabel("lifted by (m)", rotation=0, ha="right", va="center", fontsize=9)
+    axes.set_ylabel("lift (m)", rotation=0, ha="right", va="center", fontsize=9)
     axes.set_xlabel("time (s)", fontsize=9, labelpad=1)
     axes.tick_params(labelsize=8, length=2)
     for side in ("top", "right"):
