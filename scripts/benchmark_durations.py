@@ -1,7 +1,7 @@
 """Measures what default discovery finds in clean demonstrations of any length: 3 to 6 stages in 6 to 120 seconds.
 
-Latents rest at a place, move to the next with minimum jerk, and carry a little noise; the stages are the movements. Beside
-it stands the partition of the true stages, which no cut can be expected to exceed.
+Latents rest at a place, move to the next with minimum jerk, and carry a little noise; the stages are the movements.
+Beside it stands the partition of the true stages, which no cut can be expected to exceed.
 
     python scripts/benchmark_durations.py --output=outputs/durations
 """

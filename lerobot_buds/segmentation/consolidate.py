@@ -55,5 +55,5 @@ def _cheapest_pair(labels: Sequence[IntArray], lines: Sequence[LineFits], slight
         for pair, shares in costs.items()
         if len(shares) >= TOGETHER * max(segments[pair[0]], segments[pair[1]])
     ]
-    cost, pair = min(found, default=(np.inf, None))
-    return pair if cost < slight else None
+    cheapest = min(found, default=None)
+    return cheapest[1] if cheapest is not None and cheapest[0] < slight else None

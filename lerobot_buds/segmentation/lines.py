@@ -83,12 +83,10 @@ def line_tree(lines: LineFits, total: int, window: int) -> tuple[TaskStructure, 
         if after[i] < count:
             before[after[i]] = i
         changed = [left for left in (before[i], i) if left >= 0 and after[left] < count]
-        right = [after[left] for left in changed]
-        first, last = (
-            np.array(edge, dtype=np.int64) for edge in ([starts[k] for k in changed], [ends[k] for k in right])
-        )
-        joint[changed] = lines.residual(first, last)
-        costs[changed] = joint[changed] - own[changed] - own[right]
+        for left in changed:
+            right = after[left]
+            joint[left] = lines.residual(starts[left], ends[right])
+            costs[left] = joint[left] - own[left] - own[right]
     return TaskStructure(np.array(bounds, dtype=np.int64), np.array(children, dtype=np.int64)), np.array(added)
 
 
@@ -114,9 +112,7 @@ def settle_boundaries(lines: LineFits, bounds: IntArray, min_length: int) -> Int
             places = np.arange(start + min_length, end - min_length + 1)
             if not len(places):
                 continue
-            cost = lines.residual(np.full_like(places, start), places) + lines.residual(
-                places, np.full_like(places, end)
-            )
+            cost = lines.residual(start, places) + lines.residual(places, end)
             place = int(places[int(cost.argmin())])
             if place != edges[i]:
                 edges[i] = place

@@ -24,8 +24,8 @@ def choose_n_skills(
 ) -> tuple[int, dict[int, float]]:
     """Clusters the segments into every number of skills and takes the best one (ours; the paper sets it by hand).
 
-    Best is the highest silhouette: how much nearer a segment is to its own cluster than to the next one. Of many segments
-    1,500, evenly spread, stand for all.
+    Best is the highest silhouette: how much nearer a segment is to its own cluster than to the next one. Of many
+    segments 1,500, evenly spread, stand for all.
 
     Args:
         latents: ``(T, D)`` latents of every demonstration.

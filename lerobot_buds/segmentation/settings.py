@@ -58,7 +58,7 @@ class DiscoveryConfig:
     ``three_frames`` (released code)."""
 
     length_penalty: float = 4.0
-    """Penalty per second of merged length in the tree. Released code: 1/5 per frame; 0 is the paper. Lines have none."""
+    """Penalty per second of merged length in the tree. Released code: 1/5 per frame; 0 is the paper."""
 
     relative_penalty: bool = True
     """Takes the penalty in units of the median distance between neighbouring bottom elements. Ours; the released code
@@ -129,8 +129,8 @@ class DiscoveryConfig:
 def preset(name: str, config: DiscoveryConfig) -> DiscoveryConfig:
     """Makes settings follow the paper or the released code wherever they depart from it.
 
-    Task-dependent settings (numbers of skills and keyframes, durations) stay as they are; durations that are None become
-    the published ones of Kitchen.
+    Task-dependent settings (numbers of skills and keyframes, durations) stay as they are; durations that are None
+    become the published ones of Kitchen.
 
     Args:
         name: ``default`` (ours; changes nothing), ``paper`` or ``released``.

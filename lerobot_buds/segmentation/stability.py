@@ -32,9 +32,7 @@ def stability(found: "SkillDiscovery", latents: Sequence[FloatArray], runs: int)
         where nothing changes, 0 for chance.
     """
     rng = np.random.default_rng(found.random_state)
-    scale = NOISE * float(
-        np.concatenate([np.asarray(episode, dtype=np.float64) for episode in latents]).std(axis=0).mean()
-    )
+    scale = NOISE * float(np.sqrt(np.concatenate(latents).astype(np.float64).var(axis=0).mean()))
     full = [number for number, episode in enumerate(latents) if len(episode)]
     scores: list[float] = []
     for run in range(runs):
