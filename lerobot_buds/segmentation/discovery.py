@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -11,7 +12,7 @@ from lerobot_buds.core import ConfigError, FloatArray, IntArray, SegmentationErr
 
 from .checks import checked_latents, tiling
 from .consolidate import consolidate
-from .durations import SLIGHT, Durations, count_segments, median_count, min_skill_of, window_of
+from .durations import MOVEMENT, SLIGHT, Durations, count_segments, median_count, min_skill_of, window_of
 from .lines import LineFits, line_tree, settle_boundaries
 from .partition import dissolve_short_skills, distinct_segments, partition_segments, renumber, spans_of
 from .selection import choose_n_skills
@@ -38,6 +39,8 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             consolidated, else for `max_skills` (paper).
         segments_per_episode: Temporal segments wanted per demonstration. None: by ``line``, as many as the
             demonstrations are worth, see `count_segments`; by other features, twice the number of skills (notes).
+        segment_worth: Share of what moves in a demonstration that each of its segments must explain, by ``line``; None
+            for one that is taken from the demonstrations, see `count_segments`.
         cutter: Cuts the demonstrations in the place of the tree, for example one of `CUTS`: from their latents to
             ``(S, 2)`` int64 half-open spans that tile each. None for the tree.
         search: How the tree is cut: by ``levels`` (paper), or ``best_first`` for an exact number of segments (ours).
@@ -82,6 +85,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         max_skills: int = 12,
         n_skills: int | Literal["auto"] | None = None,
         segments_per_episode: int | None = None,
+        segment_worth: float | None = None,
         cutter: Callable[[Sequence[FloatArray]], list[IntArray]] | None = None,
         search: Search = "best_first",
         min_segment_length: int | None = None,
@@ -99,6 +103,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         self.max_skills = max_skills
         self.n_skills = n_skills
         self.segments_per_episode = segments_per_episode
+        self.segment_worth = segment_worth
         self.cutter = cutter
         self.search = search
         self.min_segment_length = min_segment_length
@@ -147,7 +152,6 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         self._check_parameters()
         episodes = checked_latents(latents)
         lines = [LineFits(episode) for episode in episodes]
-        self._slight = SLIGHT
         own = segments is None and self.cutter is None and self.feature == "line"
         self.temporal_segments_ = self._cut(episodes, lines) if segments is None else tiling(episodes, segments)
         if segments is not None:
@@ -215,15 +219,16 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             return found
         window = self.window or window_of([len(episode) for episode in episodes])
         full = [number for number, episode in enumerate(episodes) if len(episode)]
-        counts: list[int] = []
+        counts, worth = list[int](), 0.0
         if self.feature == "line":
             made = {i: line_tree(lines[i], len(episodes[i]), window) for i in full}
             trees = {i: tree for i, (tree, _) in made.items()}
-            counts, self._slight = count_segments([lines[i] for i in made], [added for _, added in made.values()])
+            added = [costs for _, costs in made.values()]
+            counts, worth = count_segments([lines[i] for i in made], added, self.segment_worth)
         else:
             unit = median_distance(episodes, window, self.feature) if self.relative_penalty else 1.0
             trees = {i: build_tree(episodes[i], window, self.length_penalty * unit, self.feature) for i in full}
-        self.durations_ = self._durations(episodes, counts)
+        self.durations_ = replace(self._durations(episodes, counts), segment_worth=worth)
         wanted, shortest = self.durations_.segments_per_episode, self.durations_.min_segment_length
         free = bool(counts) and self.segments_per_episode is None
         found = [np.empty((0, 2), dtype=np.int64)] * len(episodes)
@@ -264,7 +269,9 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         return self._consolidated(labels, lines, settle) if self.consolidate else labels
 
     def _consolidated(self, labels: list[IntArray], lines: list[LineFits], settle: bool) -> list[IntArray]:
-        joined = consolidate(labels, lines, self._slight)
+        # Clear movements are no pieces of one another.
+        clear = self.durations_.segment_worth >= MOVEMENT
+        joined = consolidate(labels, lines, MOVEMENT if clear else SLIGHT)
         for i, (before, after) in enumerate(zip(labels, joined, strict=True)):
             runs = spans_of(after)
             if settle and 1 < len(runs) < len(spans_of(before)):
@@ -305,6 +312,7 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             "min_skill_length": 0,
             "num_keyframes": 2,
             "length_penalty": 0,
+            "segment_worth": 0,
             "passes": 1,
             "random_state": 0,
         }

@@ -44,13 +44,17 @@ class Durations:
         window: Frames per bottom element of the tree.
         min_segment_length: Nodes of the tree of this many frames or fewer are not split.
         min_skill_length: Shortest mean segment of a skill (frames).
-        segments_per_episode: Temporal segments wanted per demonstration.
+        segments_per_episode: Temporal segments wanted per demonstration; where each is cut into its own number, the
+            median.
+        segment_worth: Share of what moves in a demonstration that its every segment explains; 0 where they were not
+            counted by it.
     """
 
     window: int
     min_segment_length: int
     min_skill_length: int
     segments_per_episode: int
+    segment_worth: float = 0.0
 
 
 def window_of(lengths: Sequence[int]) -> int:
@@ -63,28 +67,31 @@ def min_skill_of(lengths: Sequence[int]) -> int:
     return max(1, round(_median(lengths) / SHORTEST_SKILL))
 
 
-def count_segments(lines: Sequence[LineFits], added: Sequence[FloatArray]) -> tuple[list[int], float]:
+def count_segments(
+    lines: Sequence[LineFits], added: Sequence[FloatArray], worth: float | None = None
+) -> tuple[list[int], float]:
     """Counts the temporal segments that demonstrations are worth, from what the merges of their trees cost.
 
     Args:
         lines: Fits of every demonstration.
         added: What each merge of its tree added to the residuals, see `line_tree`.
+        worth: Share that a segment must explain; None for `MOVEMENT` where movements are clear, else `DETAIL`.
 
     Returns:
-        The number of every demonstration, and the share below which a boundary between pieces of one skill is slight.
+        The number of every demonstration, and the share that decided.
     """
-    movements, details, drops = [], [], []
+    of_all: list[FloatArray] = []
+    drops: list[float] = []
     for fits, costs in zip(lines, added, strict=True):
         real = costs[costs > 2 * NOISY * fits.noise] if fits.variation else costs[:0]
         shares = np.sort(real)[::-1] / (fits.variation or 1.0)
+        of_all.append(shares)
         count = int((shares > MOVEMENT).sum())
-        movements.append(1 + count)
-        details.append(min(MOST_SEGMENTS, 1 + int((shares > DETAIL).sum())))
         if count:
             drops.append(float(shares[count + 1] / shares[count - 1]) if count + 1 < len(shares) else 0.0)
-    if drops and np.median(drops) <= CLEAR:
-        return movements, MOVEMENT
-    return details, SLIGHT
+    if worth is None:
+        worth = MOVEMENT if drops and np.median(drops) <= CLEAR else DETAIL
+    return [min(MOST_SEGMENTS, 1 + int((shares > worth).sum())) for shares in of_all], worth
 
 
 def median_count(counts: Sequence[int]) -> int:

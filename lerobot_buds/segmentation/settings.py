@@ -35,6 +35,10 @@ class DiscoveryConfig:
     """Temporal segments per demonstration; None for as many as the demonstrations are worth, or, where the tree does
     not merge by lines, twice the skills. Implementation notes: 2."""
 
+    segment_worth: float | None = None
+    """Share of what moves in a demonstration that one segment more must explain, where the tree merges by lines. None:
+    0.02 where movements are clear, else 0.003 (ours, measured)."""
+
     cut: str = TREE
     """How demonstrations are cut into temporal segments: by the ``tree`` (paper), or by a baseline, a key of `CUTS`;
     with ``kernel change points`` this is the paper's baseline CP."""
@@ -96,6 +100,7 @@ class DiscoveryConfig:
             max_skills=self.max_skills,
             n_skills=self.n_skills,
             segments_per_episode=self.segments_per_episode,
+            segment_worth=self.segment_worth,
             search=self.search,
             min_segment_length=frames(self.min_segment_s),
             min_skill_length=frames(self.min_skill_s),
@@ -122,7 +127,7 @@ class DiscoveryConfig:
             window_s=lengths.window / fps,
             min_segment_s=lengths.min_segment_length / fps,
             min_skill_s=lengths.min_skill_length / fps,
-            segments_per_episode=lengths.segments_per_episode,
+            segment_worth=lengths.segment_worth or None,
         )
 
 

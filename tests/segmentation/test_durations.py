@@ -126,7 +126,7 @@ def test_settings_keep_the_durations_that_were_found() -> None:
     again = settled.build(30)
     again.cut(latents[:1])
     assert again.durations_ == found.durations_
-    assert replace(settled, window_s=None, min_segment_s=None, min_skill_s=None, segments_per_episode=None) == (
+    assert replace(settled, window_s=None, min_segment_s=None, min_skill_s=None, segment_worth=None) == (
         DiscoveryConfig()
     )
     assert found.durations_.min_skill_length == min_skill_of([240])
