@@ -182,6 +182,7 @@ def _record(
         agreement=asdict(agreement(found.labels, stages, fps)) if stages else None,
         library=library or None,
         silhouettes={str(count): score for count, score in found.scores.items()} or None,
+        stability=found.stability,
     )
 
 
@@ -211,6 +212,10 @@ def main() -> None:
     print(f"{record.n_skills} skills in {len(record.episodes)} demonstrations")
     for number, skill in enumerate(record.skills):
         print(f"  skill {number}: {skill['segments']:.0f} segments of {skill['mean_seconds']:.1f} s on average")
+    durations = {name: record.parameters[name] for name in ("window_s", "min_skill_s", "segment_worth")}
+    print("  from " + ", ".join(f"{name} {value:.3g}" for name, value in durations.items() if value is not None))
+    if record.stability is not None:
+        print(f"  stability {record.stability:.2f} (1: the same skills from slightly different demonstrations)")
     if record.agreement:
         print("  agreement with the true stages: " + _in_words(record.agreement))
 

@@ -6,17 +6,14 @@ import numpy as np
 from scipy.sparse.linalg import ArpackError
 from sklearn.cluster import spectral_clustering
 from sklearn.metrics.pairwise import rbf_kernel
-from sklearn.neighbors import NearestNeighbors, kneighbors_graph
+from sklearn.neighbors import NearestNeighbors
 
 from lerobot_buds.core import FloatArray, IntArray, SegmentationError
 
 logger = logging.getLogger(__name__)
 
-MAX_DENSE_SEGMENTS = 5000
-"""Up to here the kernel matrix is dense: about 4 * 8 * N**2 bytes, 0.8 GB. Beyond, a sparse neighbour graph is used."""
-
-GRAPH_NEIGHBORS = 20
-"""Neighbours of a segment in the sparse graph."""
+MAX_CLUSTERED = 2500
+"""Of more segments than these, so many stand for all: the kernel matrix of N takes about 4 * 8 * N**2 bytes, 0.2 GB."""
 
 COMMON_SIMILARITY = 1e-6
 """Share of the mean similarity that any two segments have in common. Without it, segments far from all others leave
@@ -66,19 +63,38 @@ def cluster(features: FloatArray, n_clusters: int, random_state: int, gamma: flo
         return np.arange(n_clusters, dtype=np.int64)
     # The seeded solver sees the segments in an order that neither the order of the demonstrations nor a rotation of
     # the latents changes, so neither changes the clusters.
-    order = np.argsort(np.square(features - features.mean(axis=0)).sum(axis=1), kind="stable")
+    order = canonical_order(features)
     labels = np.empty(len(features), dtype=np.int64)
-    labels[order] = _spectral(features[order], n_clusters, random_state, gamma)
+    if len(features) <= MAX_CLUSTERED:
+        labels[order] = _spectral(features[order], n_clusters, random_state, gamma)
+        return labels
+    some = spread(features, MAX_CLUSTERED)
+    labels[some] = _spectral(features[some], n_clusters, random_state, gamma)
+    others = np.setdiff1d(order, some)
+    nearest = NearestNeighbors(n_neighbors=1).fit(features[some]).kneighbors(features[others])[1][:, 0]
+    labels[others] = labels[some[nearest]]
     return labels
 
 
+def canonical_order(features: FloatArray) -> IntArray:
+    """Orders segments by their distance from the mean, which no order of demonstrations and no rotation changes.
+
+    Args:
+        features: ``(N, F)`` features.
+    """
+    order: IntArray = np.argsort(np.square(features - features.mean(axis=0)).sum(axis=1), kind="stable")
+    return order
+
+
+def spread(features: FloatArray, most: int) -> IntArray:
+    """Picks up to so many segments, evenly spread over the `canonical_order`, in that order."""
+    order = canonical_order(features)
+    return order[np.linspace(0, len(order) - 1, min(most, len(order))).astype(np.int64)]
+
+
 def _spectral(features: FloatArray, n_clusters: int, random_state: int, gamma: float | None) -> IntArray:
-    if len(features) > MAX_DENSE_SEGMENTS:
-        graph = kneighbors_graph(features, GRAPH_NEIGHBORS, include_self=True)
-        affinity = 0.5 * (graph + graph.T)
-    else:
-        affinity = rbf_kernel(features, gamma=gamma or auto_gamma(features))
-        affinity += COMMON_SIMILARITY * affinity.mean()
+    affinity = rbf_kernel(features, gamma=gamma or auto_gamma(features))
+    affinity += COMMON_SIMILARITY * affinity.mean()
     best: IntArray | None = None
     # "discretize" is the released choice; it may leave a cluster empty or fail on a nearly diagonal affinity.
     for assignment in ("discretize", "cluster_qr", "kmeans"):

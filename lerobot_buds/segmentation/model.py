@@ -14,7 +14,6 @@ from lerobot_buds.core import (
     FloatArray,
     IntArray,
     SegmentationError,
-    frames_of_seconds,
 )
 
 from .exemplars import read_library, write_library
@@ -35,7 +34,7 @@ class SkillModel:
 
     Attributes:
         representation: Makes a latent of every frame.
-        config: Settings of skill discovery.
+        config: Settings of skill discovery, with the durations that were taken from the demonstrations.
         library: Exemplars of the skills.
         lineage: The segmentations that gave the skills their numbers, see `SegmentationRecord.lineage`.
     """
@@ -59,8 +58,9 @@ class SkillModel:
             SegmentationError: It has no frames.
         """
         latents, fps = _encoded(dataset, self.representation)
-        bounds = self.config.build(fps).cut(latents)
-        min_length = frames_of_seconds(self.config.min_skill_s, fps)
+        discovery = self.config.build(fps)
+        bounds = discovery.cut(latents)
+        min_length = discovery.durations_.min_skill_length
         labels = self.library.label(latents, bounds, grow=grow, min_length=min_length)
         library = self.library.with_demonstrations(latents, bounds, labels)
         return DiscoveredSkills(labels, latents, SkillModel(self.representation, self.config, library, self.lineage))
@@ -112,13 +112,16 @@ class DiscoveredSkills:
         labels: ``(T,)`` int64 skill of every frame, per demonstration.
         latents: ``(T, D)`` float64 latents, per demonstration.
         model: Labels further datasets with these skills.
-        scores: With ``n_skills="auto"``, how well each number of clusters parts the segments; else empty.
+        scores: Where the number of skills was chosen, how well each number of clusters parts the segments; else empty.
+        stability: How much of the labels holds when the demonstrations differ slightly, see `stability.stability`; None
+            where a library labelled them.
     """
 
     labels: list[IntArray]
     latents: list[FloatArray]
     model: SkillModel
     scores: dict[int, float] = field(default_factory=dict)
+    stability: float | None = None
 
     @property
     def n_skills(self) -> int:
@@ -160,7 +163,8 @@ def discover_skills(
     library = SkillLibrary.of(
         latents, found.temporal_segments_, found.labels_, found.n_skills_, num_keyframes=config.num_keyframes
     )
-    return DiscoveredSkills(found.labels_, latents, SkillModel(representation, config, library), found.scores_)
+    model = SkillModel(representation, config.settled(found, fps), library)
+    return DiscoveredSkills(found.labels_, latents, model, found.scores_, found.check_stability(latents))
 
 
 def _encoded(dataset: "AnyDataset", representation: "Representation") -> tuple[list[FloatArray], float]:

@@ -44,6 +44,16 @@ def frame_labels(labels: IntArray, bounds: Sequence[IntArray]) -> list[IntArray]
     return [np.repeat(of_segments, b[:, 1] - b[:, 0]) for of_segments, b in zip(per_episode, bounds, strict=True)]
 
 
+def spans_of(labels: IntArray) -> IntArray:
+    """Lists the runs of equal labels of one episode, ``(T,)``, as ``(S, 2)`` half-open spans."""
+    return _spans(segments_of(labels))
+
+
+def distinct_segments(latents: Sequence[FloatArray], bounds: Sequence[IntArray], num_keyframes: int) -> int:
+    """Counts the segments with different keyframes; see `pooled_features`."""
+    return len(np.unique(pooled_features(latents, bounds, num_keyframes), axis=0))
+
+
 def partition_segments(
     latents: Sequence[FloatArray],
     bounds: Sequence[IntArray],
@@ -71,7 +81,7 @@ def partition_segments(
     for _ in range(passes):
         features = pooled_features(latents, bounds, num_keyframes)
         labels = frame_labels(cluster(features, n_clusters, random_state, gamma), bounds)
-        bounds = [_bounds(segments_of(episode)) for episode in labels]
+        bounds = [spans_of(episode) for episode in labels]
     return labels
 
 
@@ -81,6 +91,7 @@ def dissolve_short_skills(
     min_length: int,
     num_keyframes: int,
     keep: Container[int] = (),
+    least: int = 1,
 ) -> list[IntArray]:
     """Gives the frames of skills whose mean run is too short to their neighbours in time (released code, made exact).
 
@@ -94,23 +105,28 @@ def dissolve_short_skills(
         min_length: Shortest mean run that a skill may have (frames).
         num_keyframes: Keyframes per segment.
         keep: Labels that stay, however short.
+        least: Leaves all labels alone where fewer than this many would stay.
 
     Returns:
         New ``(T,)`` labels of every demonstration, out of the labels that stay.
     """
     runs = [segments_of(episode) for episode in labels]
-    features = pooled_features(latents, [_bounds(episode) for episode in runs], num_keyframes)
+    features = pooled_features(latents, [_spans(episode) for episode in runs], num_keyframes)
     owners = np.array([run.label for episode in runs for run in episode])
     lengths = np.array([run.length for episode in runs for run in episode])
     mean_length = {label: float(lengths[owners == label].mean()) for label in np.unique(owners).tolist()}
     ascending = sorted(mean_length, key=lambda label: (mean_length[label], label))
     short = [label for label in ascending if mean_length[label] < min_length and label not in keep]
+    if len(ascending) - len(short) < least and least > 1:
+        return [episode.copy() for episode in labels]
     if len(short) == len(ascending):
-        short.pop()
+        longest = short.pop()
         logger.warning(
-            "All %d skills are shorter than %d frames on average; only the longest stays. Lower the minimum length.",
+            "All %d skills are shorter than %d frames on average; only the longest stays. To keep more of them, set "
+            "the shortest mean segment of a skill (min_skill_s) to at most %d frames.",
             len(ascending),
             min_length,
+            mean_length[short[-1] if short else longest],
         )
     centroids = {label: features[owners == label].mean(axis=0) for label in ascending if label not in short}
     result = [episode.copy() for episode in labels]
@@ -153,8 +169,8 @@ def _dissolve(
 
 
 def _run_features(latents: FloatArray, runs: list[Segment], num_keyframes: int) -> FloatArray:
-    return keyframe_features(latents, _bounds(runs), num_keyframes)
+    return keyframe_features(latents, _spans(runs), num_keyframes)
 
 
-def _bounds(runs: list[Segment]) -> IntArray:
+def _spans(runs: list[Segment]) -> IntArray:
     return np.array([run[:2] for run in runs], dtype=np.int64).reshape(-1, 2)

@@ -94,13 +94,14 @@ class SegmentationRecord:
         n_skills: Number of skills K.
         horizon: Subgoal horizon H (frames).
         episodes: Labels of every episode.
-        parameters: Settings of skill discovery.
+        parameters: Settings of skill discovery, with the durations that were taken from the demonstrations.
         seeds: Seed of every random stage.
         representation: Description of the latents, with a hash of the weights or settings that made them.
         agreement: Scores against true stages, where these are known.
         library: The segmented dataset whose skills were taken over, where there is one, whether others were added,
             and its `lineage`.
         silhouettes: Where the number of skills was chosen, how well each number parts the segments.
+        stability: How much of the labels holds when the demonstrations differ slightly; None where that is not known.
         schema_version: Version of the record's format.
         package_version: Version of this package that wrote it.
     """
@@ -115,6 +116,7 @@ class SegmentationRecord:
     agreement: dict[str, float] | None = None
     library: dict[str, Any] | None = None
     silhouettes: dict[str, float] | None = None
+    stability: float | None = None
     schema_version: int = SCHEMA_VERSION
     package_version: str = field(default_factory=lambda: version(DISTRIBUTION))
 
@@ -137,7 +139,7 @@ class SegmentationRecord:
             fps: Frame rate (frames per second).
             horizon: Subgoal horizon H (frames), at least 1.
             n_skills: Number of skills K, if some may not occur; as many as the labels have where None.
-            **description: Any of the attributes from `parameters` to `silhouettes`; plain data.
+            **description: Any of the attributes from `parameters` to `stability`; plain data.
         """
         return cls(
             source=SourceDescription(repo_id, fps, tuple(len(episode) for episode in labels)),

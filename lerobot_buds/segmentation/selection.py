@@ -7,10 +7,10 @@ from sklearn.metrics import silhouette_score
 
 from lerobot_buds.core import FloatArray, IntArray
 
-from .clustering import cluster
+from .clustering import cluster, spread
 from .partition import pooled_features
 
-_MAX_SCORED = 5000
+_MAX_SCORED = 1500
 
 
 def choose_n_skills(
@@ -24,7 +24,8 @@ def choose_n_skills(
 ) -> tuple[int, dict[int, float]]:
     """Clusters the segments into every number of skills and takes the best one (ours; the paper sets it by hand).
 
-    Best is the highest silhouette: how much nearer a segment is to its own cluster than to the next one.
+    Best is the highest silhouette: how much nearer a segment is to its own cluster than to the next one. Of many
+    segments 1,500, evenly spread, stand for all.
 
     Args:
         latents: ``(T, D)`` latents of every demonstration.
@@ -39,12 +40,13 @@ def choose_n_skills(
         segments are one skill.
     """
     features = pooled_features(latents, bounds, num_keyframes)
+    if len(features) > _MAX_SCORED:
+        features = features[spread(features, _MAX_SCORED)]
     scores: dict[int, float] = {}
-    sample = None if len(features) <= _MAX_SCORED else _MAX_SCORED
     for count in range(2, min(most, len(np.unique(features, axis=0)) - 1) + 1):
         labels = cluster(features, count, random_state, gamma)
         if labels.max() + 1 == count:
-            scores[count] = float(silhouette_score(features, labels, sample_size=sample, random_state=random_state))
+            scores[count] = float(silhouette_score(features, labels))
     return best_count(scores), scores
 
 

@@ -4,7 +4,7 @@ Invariants: the bottom elements tile ``[0, T)``; every other node spans exactly 
 the last node is the root and spans ``[0, T)``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any, Literal
@@ -92,9 +92,10 @@ def three_frames(latents: FloatArray) -> Describe:
     return feature
 
 
-Feature = Literal["mean", "three_frames"]
+Feature = Literal["line", "mean", "three_frames"]
 FEATURES: dict[Feature, Callable[[FloatArray], Describe]] = {"mean": means, "three_frames": three_frames}
-"""What describes a span in the tree: the paper's mean over all frames, or the released code's three."""
+"""What describes a span in the tree: the paper's mean over all frames, or the released code's three. A ``line`` is told
+by its residual instead, see `lines`."""
 
 
 def adjacent_distances(latents: FloatArray, window: int, feature: Feature = "mean") -> FloatArray:
@@ -111,6 +112,21 @@ def adjacent_distances(latents: FloatArray, window: int, feature: Feature = "mea
     features = FEATURES[feature](latents)(*window_bounds(len(latents), window).T)
     distances: FloatArray = np.linalg.norm(np.diff(features, axis=0), axis=1)
     return distances
+
+
+def median_distance(episodes: Sequence[FloatArray], window: int, feature: Feature) -> float:
+    """Takes the unit of the length penalty from the data (ours): it must not depend on the scale of the latents.
+
+    Args:
+        episodes: ``(T, D)`` latents of every demonstration.
+        window: Frames per bottom element.
+        feature: A key of `FEATURES`.
+    """
+    distances = np.concatenate([adjacent_distances(episode, window, feature) for episode in episodes if len(episode)])
+    # Episodes that stand still leave rounding errors, which are no unit.
+    rounding = 1e-9 * max(float(np.abs(episode).max()) for episode in episodes if len(episode))
+    moving = distances[distances > rounding]
+    return float(np.median(moving)) if len(moving) else 1.0
 
 
 def build_tree(

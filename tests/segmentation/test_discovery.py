@@ -35,10 +35,11 @@ def test_stages_are_found(demonstrations: Callable[..., tuple], seed: int) -> No
 
 def test_scale_changes_nothing_and_the_penalty_does(demonstrations: Callable[..., tuple]) -> None:
     latents, _ = demonstrations(noise=1.0)
-    small = SkillDiscovery().fit([0.01 * h for h in latents])
-    large = SkillDiscovery().fit([100 * h for h in latents])
-    plain = SkillDiscovery(length_penalty=0).fit(latents)
-    assert np.concatenate(small.labels_).tolist() == np.concatenate(large.labels_).tolist()
+    for feature in ("line", "mean"):
+        small = SkillDiscovery(feature=feature).fit([0.01 * h for h in latents])
+        large = SkillDiscovery(feature=feature).fit([100 * h for h in latents])
+        assert np.concatenate(small.labels_).tolist() == np.concatenate(large.labels_).tolist()
+    plain = SkillDiscovery(feature="mean", length_penalty=0).fit(latents)
     assert [b.tolist() for b in plain.temporal_segments_] != [b.tolist() for b in large.temporal_segments_]
 
 
@@ -86,13 +87,33 @@ def test_what_cannot_work_is_refused_before_there_are_latents() -> None:
         SkillDiscovery(window=0).check([100])
 
 
-@pytest.mark.parametrize("total", [1, 2, 9, 10, 19, 20, 21])
+@pytest.mark.parametrize("total", [1, 2, 3, 5])
 def test_short_episodes_are_one_segment(total: int, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         found = SkillDiscovery().fit([np.random.default_rng(0).normal(size=(total, 2)), np.empty((0, 2))])
     assert found.temporal_segments_[0].tolist() == [[0, total]]
     assert [found.labels_[0].tolist(), found.labels_[1].tolist()] == [[0] * total, []]
-    assert "too short for 20 temporal segments" in caplog.text
+    assert "No demonstration was cut" in caplog.text
+
+
+def test_too_few_segments_are_told_with_a_number_that_works(caplog: pytest.LogCaptureFixture) -> None:
+    latents = [np.random.default_rng(seed).normal(size=(60, 2)) for seed in range(3)]
+    SkillDiscovery(feature="mean", window=10).fit(latents)
+    assert "3 of 3 demonstrations are too short for 24 temporal segments" in caplog.text
+    advised = int(caplog.text.split("segments_per_episode to at most ")[1].split(",")[0])
+    caplog.clear()
+    SkillDiscovery(feature="mean", window=10, segments_per_episode=advised).fit(latents)
+    assert "too short" not in caplog.text
+
+
+def test_uncut_demonstrations_are_cut_as_the_warning_says(caplog: pytest.LogCaptureFixture) -> None:
+    latents = [np.random.default_rng(seed).normal(size=(200, 4)) for seed in range(4)]
+    assert {len(bounds) for bounds in SkillDiscovery().fit(latents).temporal_segments_} == {1}
+    assert "set segments_per_episode" in caplog.text
+    caplog.clear()
+    found = SkillDiscovery(segments_per_episode=4, min_skill_length=1).fit(latents)
+    assert {len(bounds) for bounds in found.temporal_segments_} == {4}
+    assert found.n_skills_ > 1 and not caplog.text
 
 
 def test_constant_latents_are_one_skill() -> None:
@@ -108,6 +129,8 @@ def test_every_skill_under_the_minimum_leaves_one(
     latents, _ = demonstrations()
     assert SkillDiscovery(min_skill_length=10_000).fit(latents).n_skills_ == 1
     assert "only the longest stays" in caplog.text
+    advised = int(caplog.text.split("(min_skill_s) to at most ")[1].split(" ")[0])
+    assert SkillDiscovery(min_skill_length=advised).fit(latents).n_skills_ > 1
 
 
 def test_non_finite_latents_are_refused_with_their_place() -> None:
@@ -142,7 +165,9 @@ def test_config_converts_seconds() -> None:
     at20 = DiscoveryConfig().build(fps=20)
     assert at20.get_params() == SkillDiscovery().get_params()
     at50 = replace(DiscoveryConfig(), seed=4).build(fps=50)
-    assert (at50.window, at50.min_segment_length, at50.min_skill_length) == (25, 50, 75)
+    assert (at50.window, at50.min_segment_length, at50.min_skill_length) == (None, None, None)
+    given = DiscoveryConfig(window_s=0.5, min_segment_s=1.0, min_skill_s=1.5).build(fps=50)
+    assert (given.window, given.min_segment_length, given.min_skill_length) == (25, 50, 75)
     assert at50.length_penalty == pytest.approx(0.08) and at50.random_state == 4
 
 
@@ -169,6 +194,11 @@ def test_presets_follow_the_paper_and_the_release(demonstrations: Callable[..., 
     config = DiscoveryConfig(max_skills=4, num_keyframes=3)
     paper, released = (preset(name, config).build(20) for name in ("paper", "released"))
     assert (paper.feature, paper.length_penalty, paper.passes, paper.gamma) == ("mean", 0, 1, None)
+    for published in (paper, released):
+        assert (published.window, published.min_skill_length, published.search) == (10, 30, "levels")
+        assert not published.consolidate
+    assert (paper.min_segment_length, released.min_segment_length) == (20, 1)
+    assert preset("paper", replace(config, window_s=1.0, min_skill_s=1.0)).build(20).window == 20
     assert (released.feature, released.passes) == ("three_frames", 2)
     assert released.length_penalty == pytest.approx(1 / 5) and not released.relative_penalty
     assert released.gamma == pytest.approx(0.0025) and released.max_skills == 4 and released.num_keyframes == 3
@@ -183,7 +213,7 @@ def test_presets_follow_the_paper_and_the_release(demonstrations: Callable[..., 
 def test_the_releases_penalty_depends_on_the_scale(demonstrations: Callable[..., tuple]) -> None:
     latents, _ = demonstrations(noise=1.0)
     cuts = [
-        SkillDiscovery(relative_penalty=False).fit([scale * h for h in latents]).temporal_segments_
+        SkillDiscovery(feature="mean", relative_penalty=False).fit([scale * h for h in latents]).temporal_segments_
         for scale in (0.01, 100)
     ]
     assert [b.tolist() for b in cuts[0]] != [b.tolist() for b in cuts[1]]

@@ -44,11 +44,13 @@ def sets(draw, kinds=KINDS):
 
 discoveries = st.builds(
     SkillDiscovery,
-    window=st.integers(1, 12),
+    window=st.none() | st.integers(1, 12),
     max_skills=st.integers(1, 9),
     min_skill_length=st.integers(0, 80),
     num_keyframes=st.integers(2, 5),
-    feature=st.sampled_from(["mean", "three_frames"]),
+    feature=st.sampled_from(["line", "mean", "three_frames"]),
+    search=st.sampled_from(["levels", "best_first"]),
+    consolidate=st.booleans(),
     passes=st.integers(1, 3),
     random_state=st.integers(0, 3),
 )

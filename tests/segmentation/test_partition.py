@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 from sklearn.metrics import adjusted_rand_score
@@ -81,10 +83,20 @@ def test_clusters_are_found() -> None:
     assert adjusted_rand_score(truth, cluster(features, 4, 0)) == 1.0
 
 
-def test_the_sparse_graph_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_some_segments_stand_for_many(monkeypatch: pytest.MonkeyPatch) -> None:
     features, truth = blobs(60)
-    monkeypatch.setattr(clustering, "MAX_DENSE_SEGMENTS", 10)
+    monkeypatch.setattr(clustering, "MAX_CLUSTERED", 50)
     assert adjusted_rand_score(truth, cluster(features, 4, 0)) == 1.0
+
+
+def test_the_kernel_of_many_segments_stays_small() -> None:
+    features, truth = blobs(2000)
+    tracemalloc.start()
+    labels = cluster(features, 4, 0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert adjusted_rand_score(truth, labels) == 1.0
+    assert peak < 0.3 * 2**30  # one kernel of all 8,000 would be 0.5 GB
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
