@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE, ConfigError, DatasetError
+from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE, ConfigError, DatasetError, sha256_of_json
 from lerobot_buds.envs import ACTION_NAMES, STATE_NAMES, open_playback, profile_named
 
 from .clock import Clock, resampled
@@ -99,7 +99,12 @@ class PlayedDemonstrations:
         self.image_shapes: dict[str, tuple[int, ...]] = {
             IMAGE_PREFIX + camera: (size, size, 3) for camera in self._cameras
         }
-        self.facts: dict[str, Any] = {"clock": clock.facts, "model_changes": model.changes}
+        self.facts: dict[str, Any] = {
+            "clock": clock.facts,
+            "model_changes": model.changes,
+            # Models may lie beside the file, whose own hash knows nothing of them.
+            "models_sha256": sha256_of_json([self._model_text(name) for name in names]),
+        }
 
     def read(self, name: str) -> dict[str, NDArray[Any]]:
         """Plays one demonstration back; see `Demonstrations.read`."""
