@@ -17,8 +17,9 @@ class SimulatedArmConfig(RobotConfig):
         joints: Names of what it measures, ending in ``.pos``.
         actuators: Names of what it can be told, ending in ``.pos``.
         views: Names of its cameras. LeRobot expects configurations of devices in a field called `cameras`.
-        pixels: Height and width of an image.
+        pixels: Height of an image.
         steps: Actions after which the user presses Ctrl-C.
+        width: Width of an image; as its height where None.
         still: Whether it always observes the same.
         spread: Standard deviation of what it measures, in its unit.
     """
@@ -28,6 +29,7 @@ class SimulatedArmConfig(RobotConfig):
     views: list[str]
     pixels: int
     steps: int
+    width: int | None = None
     still: bool = False
     spread: float = 1.0
 
@@ -49,7 +51,7 @@ class SimulatedArm(Robot):
 
     @property
     def observation_features(self) -> dict[str, type | tuple[int, ...]]:
-        shape = (self.config.pixels, self.config.pixels, 3)
+        shape = (self.config.pixels, self.config.width or self.config.pixels, 3)
         return {**dict.fromkeys(self.config.joints, float), **dict.fromkeys(self.config.views, shape)}
 
     @property
@@ -74,7 +76,7 @@ class SimulatedArm(Robot):
     def get_observation(self) -> dict[str, Any]:
         rng = np.random.default_rng(0 if self.config.still else len(self.shown))
         joints = {name: float(self.config.spread * rng.normal()) for name in self.config.joints}
-        shape = (self.config.pixels, self.config.pixels, 3)
+        shape = (self.config.pixels, self.config.width or self.config.pixels, 3)
         images = {name: rng.integers(0, 256, shape).astype(np.uint8) for name in self.config.views}
         self.shown.append({**joints, **images})
         return dict(self.shown[-1])
