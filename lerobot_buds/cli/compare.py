@@ -1,5 +1,6 @@
 """``lerobot-buds-compare``: compares segmentation methods on a dataset whose true stages are known."""
 
+import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -31,6 +32,13 @@ from lerobot_buds.segmentation import DiscoveryConfig
 from .datasets import DatasetOptions, true_stages
 from .running import parse, run
 
+logger = logging.getLogger(__name__)
+
+OURS = {"position": ("eef*",), "gripper": ("gripper*",)}
+"""Where the state of our own environments holds the hand's position, and the gripper's fingers."""
+
+GRIP_AND_REST = "grip and rest"
+
 
 @dataclass
 class CompareConfig(DatasetOptions):
@@ -42,13 +50,14 @@ class CompareConfig(DatasetOptions):
     seeds: int = 3
     """Number of seeds, from 0: each trains its own representation and clusters with it."""
 
-    methods: list[str] = field(default_factory=lambda: list(METHODS))
-    """Methods to compare; all by default."""
+    methods: list[str] | None = None
+    """Methods to compare; all that the dataset allows where None."""
 
-    position: list[str] = field(default_factory=lambda: ["eef*"])
-    """Shell-style patterns of the ``observation.state`` names that are the hand's position."""
+    position: list[str] | None = None
+    """Shell-style patterns of the ``observation.state`` names that are the hand's position; None where nobody knows
+    them, but for our own environments. `GRIP_AND_REST` needs them."""
 
-    gripper: list[str] = field(default_factory=lambda: ["gripper*"])
+    gripper: list[str] | None = None
     """The same of the gripper's fingers, whose mean size is its opening."""
 
     representation: RepresentationConfig = field(default_factory=RepresentationConfig)
@@ -73,8 +82,9 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
     if TRUE_STAGE not in dataset.features:
         raise DatasetError(f"{dataset.root} has no column {TRUE_STAGE!r}: no segmentation can be scored.")
     check_demonstrations(dataset, config.representation.cameras, side=config.representation.side)
-    signals = {name: _signal(dataset, getattr(config, name), name) for name in ("position", "gripper")}
-    gripper = [np.abs(fingers).mean(axis=1) for fingers in signals["gripper"]]
+    position, fingers = (_signal(dataset, getattr(config, name), name) for name in OURS)
+    gripper = [np.abs(opening).sum(axis=1) / max(1, opening.shape[1]) for opening in fingers]
+    methods = _methods(config, bool(position[0].shape[1] and fingers[0].shape[1]))
     stages, fps = true_stages(dataset), dataset.fps
     results: list[Result] = []
     with only_writer(work_dir):
@@ -84,17 +94,30 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
             representation = train_representation(dataset, settings, folder)
             latents = encode_dataset(dataset, representation)
             fused = [episode[:, : episode.shape[1] - representation.dims_beside] for episode in latents]
-            data = Demonstrations(latents, fused, stages, signals["position"], gripper, fps)
-            results += compare(data, config.discovery, seed, config.methods)
+            data = Demonstrations(latents, fused, stages, position, gripper, fps)
+            results += compare(data, config.discovery, seed, methods)
         remove_leftovers(work_dir)
         write_json(work_dir / "comparison.json", comparison_rows(results))
         draw_comparison(work_dir / "comparison.png", results, stages, fps)
     return results
 
 
-def _signal(dataset: LocalDataset, patterns: list[str], setting: str) -> list[FloatArray]:
-    """Reads the dimensions of the state that match, ``(T, d)`` per demonstration."""
-    dims = dims_used(setting, dimension_names(dataset.features[STATE]), patterns, ())
+def _methods(config: CompareConfig, with_signals: bool) -> list[str]:
+    """Settles which methods are compared; one that lacks its signals is left out by name, or refused if asked for."""
+    advice = f"{GRIP_AND_REST!r} needs --position and --gripper: which dimensions of the state these are."
+    if config.methods is None:
+        if not with_signals:
+            logger.warning("%s It is left out.", advice)
+        return [name for name in METHODS if with_signals or name != GRIP_AND_REST]
+    if GRIP_AND_REST in config.methods and not with_signals:
+        raise ConfigError(advice)
+    return config.methods
+
+
+def _signal(dataset: LocalDataset, patterns: list[str] | None, setting: str) -> list[FloatArray]:
+    """Reads the dimensions of the state that match, ``(T, d)`` per demonstration, d = 0 where nobody knows them."""
+    names = dimension_names(dataset.features[STATE])
+    dims = dims_used(setting, names, patterns, OURS[setting], others=())
     table = read_table(dataset, [STATE])
     state = table.columns[STATE].reshape(len(table.present), -1)[:, dims].astype(np.float64)
     return [state[start:end] for start, end in zip(table.starts, table.ends, strict=True)]

@@ -6,7 +6,9 @@ import pytest
 from matplotlib.image import imread
 
 from lerobot_buds.cli import compare
-from lerobot_buds.core import read_json
+from lerobot_buds.cli.compare import GRIP_AND_REST, CompareConfig, _methods
+from lerobot_buds.core import ConfigError, read_json
+from lerobot_buds.evaluation import METHODS
 
 SMALL = [
     *("--seeds=2", "--representation.image_size=32", "--representation.steps=5", "--representation.batch_size=16"),
@@ -34,7 +36,7 @@ def test_all_methods_are_compared_on_every_seed(demonstrations, tmp_path, monkey
     ("arguments", "said"),
     [
         (["--seeds=0"], "seeds=0 cannot work"),
-        (["--gripper=[hand*]"], "No dimension of observation.state matches"),
+        (["--gripper=[hand*]"], "gripper: 'hand*' matches no dimension of the state"),
         (["--methods=[uniformly]"], "Did you mean 'uniform'"),
     ],
 )
@@ -45,3 +47,13 @@ def test_what_cannot_work_ends_in_one_line(demonstrations, tmp_path, monkeypatch
             *("--repo_id=tests/demos", f"--root={demonstrations}", f"--work_dir={tmp_path}", *SMALL, *arguments),
         )
     assert said in str(stop.value.code) and "\n" not in str(stop.value.code)
+
+
+def test_hand_and_gripper_of_somebody_elses_robot_are_not_guessed(caplog):
+    config = CompareConfig("tests/any")
+    assert GRIP_AND_REST in _methods(config, with_signals=True)
+    assert not caplog.text
+    assert set(METHODS) - set(_methods(config, with_signals=False)) == {GRIP_AND_REST}
+    assert "needs --position and --gripper" in caplog.text and "left out" in caplog.text
+    with pytest.raises(ConfigError, match="needs --position and --gripper"):
+        _methods(CompareConfig("tests/any", methods=[GRIP_AND_REST]), with_signals=False)

@@ -155,7 +155,7 @@ def test_environments_none_of_which_can_start_are_an_error(limited, monkeypatch)
     # A backend that MuJoCo does not know stands for one that is not installed: both fail when MuJoCo is imported.
     monkeypatch.setenv("MUJOCO_GL", "crayons")
     envs = EpisodeVectorEnv(limited, 1, in_workers=True)
-    with pytest.raises(SimulatorError, match="apt-get install libegl1") as error:
+    with pytest.raises(SimulatorError, match="To mend it, set MUJOCO_GL=egl") as error:
         envs.reset(seed=0)
     assert "\n" not in str(error.value) and "'crayons'" in str(error.value)
     envs.close()
