@@ -84,20 +84,20 @@ RECORDINGS = {
 
 SETTINGS = {
     "default": DiscoveryConfig(),
-    # The defaults ask for ten skills, of which one episode or two have hardly two examples each: here the number that
-    # parts the segments best is taken, and an exact number of segments instead of at least twice the skills.
-    "auto": DiscoveryConfig(n_skills="auto", segments_per_episode=16, search="best_first"),
-    # The same, told how many skills the gripper knows: with an empty hand, and with a full one.
-    "two": DiscoveryConfig(n_skills=2, segments_per_episode=16, search="best_first"),
+    # Cut by means as in the paper, into as many segments as one episode of eight rounds may have, and told how many
+    # skills the gripper knows: with an empty hand, and with a full one.
+    "two": DiscoveryConfig(
+        feature="mean", search="best_first", segments_per_episode=16, min_segment_s=1.0, consolidate=False, n_skills=2
+    ),
 }
 
 SHOWN = {
-    "panda_pick_place": "auto",
-    "panda_nut_assembly": "auto",
+    "panda_pick_place": "default",
+    "panda_nut_assembly": "default",
     "sawyer_pick_place": "two",
     "sawyer_nut_assembly": "two",
 }
-"""Setting with which a task is drawn beside the default one."""
+"""Setting with which a task is drawn."""
 
 
 @dataclass

@@ -14,7 +14,7 @@ from lerobot_buds.core import FloatArray, IntArray, segments_of
 from .lines import LineFits
 
 TOGETHER = 0.8
-"""Two skills are pieces of one where this share of the segments of both lie beside one of the other."""
+"""Two skills are pieces of one where this share of the segments of both lie beside one of the other, in one order."""
 
 
 def consolidate(labels: Sequence[IntArray], lines: Sequence[LineFits], slight: float) -> list[IntArray]:
@@ -48,12 +48,13 @@ def _cheapest_pair(labels: Sequence[IntArray], lines: Sequence[LineFits], slight
         joint = fits.residual(spans[:-1, 0], spans[1:, 1])
         shares = (joint - own[:-1] - own[1:]) / (fits.variation or 1.0)
         for (one, two), share in zip(pairwise(runs), shares, strict=True):
-            pair = (min(one.label, two.label), max(one.label, two.label))
-            costs.setdefault(pair, []).append(share)
+            costs.setdefault((one.label, two.label), []).append(share)
     found = [
         (float(np.median(shares)), pair)
         for pair, shares in costs.items()
+        # Always in this order: two skills that take turns are rounds of work, and no pieces of one.
         if len(shares) >= TOGETHER * max(segments[pair[0]], segments[pair[1]])
+        and len(costs.get(pair[::-1], ())) <= (1 - TOGETHER) * len(shares)
     ]
     cheapest = min(found, default=None)
     return cheapest[1] if cheapest is not None and cheapest[0] < slight else None

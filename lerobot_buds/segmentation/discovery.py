@@ -301,6 +301,11 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
                 "have them cut nevertheless, set segments_per_episode (and a shorter window).",
                 self.durations_.window,
             )
+        elif self.n_skills_ == 1 and self._exact is None:
+            logger.warning(
+                "All segments came out as one skill: they are short beside the demonstrations, or never occur apart. "
+                "Where more are known to be there, set n_skills to their number."
+            )
 
     def _check_parameters(self) -> None:
         least = {

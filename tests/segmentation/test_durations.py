@@ -130,3 +130,20 @@ def test_settings_keep_the_durations_that_were_found() -> None:
         DiscoveryConfig()
     )
     assert found.durations_.min_skill_length == min_skill_of([240])
+
+
+def test_skills_that_take_turns_are_rounds_and_no_pieces() -> None:
+    """On one line throughout, so that nothing but the order speaks against joining them."""
+    lines = [LineFits(np.linspace(0, 1, 120)[:, None])] * 4
+    turns, once = np.repeat([0, 1, 0, 1], 30), np.repeat([0, 1], 60)
+    assert len(np.unique(consolidate([turns] * 4, lines, 0.02)[0])) == 2
+    assert len(np.unique(consolidate([once] * 4, lines, 0.02)[0])) == 1
+
+
+def test_one_skill_is_said_to_be_one_and_the_advice_works(caplog: pytest.LogCaptureFixture) -> None:
+    latents, _ = movements(8, 4)
+    assert SkillDiscovery(min_skill_length=200).fit(latents).n_skills_ == 1
+    assert "came out as one skill" in caplog.text and "set n_skills" in caplog.text
+    caplog.clear()
+    assert SkillDiscovery(min_skill_length=200, n_skills=4).fit(latents).n_skills_ == 4
+    assert "one skill" not in caplog.text
