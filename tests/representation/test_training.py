@@ -4,6 +4,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,11 @@ def test_two_processes_train_what_one_trains(toy_root: Path, unbroken: tuple[Pat
     for ours, theirs in zip(together.losses, alone.losses, strict=True):
         assert ours == pytest.approx(theirs, rel=1e-4)
     assert sorted(p.name for p in (tmp_path / "two").iterdir()) == [RECORD_FILE, WEIGHTS_FILE]
+    # 42 frames in batches of 8, shared out; all have the latents that one process makes.
+    latents = np.concatenate(encode_dataset(toy_root, together, 8, tmp_path / "alone"))
+    same = sha256(latents.tobytes()).hexdigest()
+    encoded = [line for line in run.stdout.splitlines() if line.startswith("encoded")]
+    assert encoded == 2 * [f"encoded 3 batches of {same}"]
 
 
 def test_bfloat16_trains_to_nearly_the_same(toy_root: Path, unbroken: tuple[Path, Path], tmp_path: Path) -> None:
