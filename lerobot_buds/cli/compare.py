@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_buds.core import (
+    ACTION,
     STATE,
     TRUE_STAGE,
     ConfigError,
     DatasetError,
     FloatArray,
-    dims_used,
+    near_names,
     remove_leftovers,
+    select_dims,
     write_json,
 )
 from lerobot_buds.data import LocalDataset, check_demonstrations, dimension_names, only_writer, read_table
@@ -72,9 +74,10 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
     dataset = config.open()
     if TRUE_STAGE not in dataset.features:
         raise DatasetError(f"{dataset.root} has no column {TRUE_STAGE!r}: no segmentation can be scored.")
-    check_demonstrations(dataset, config.representation.cameras, side=config.representation.side)
+    dataset.require([STATE, ACTION])
     signals = {name: _signal(dataset, getattr(config, name), name) for name in ("position", "gripper")}
-    gripper = [np.abs(fingers).mean(axis=1) for fingers in signals["gripper"]]
+    gripper = [np.abs(fingers).sum(axis=1) / max(1, fingers.shape[1]) for fingers in signals["gripper"]]
+    check_demonstrations(dataset, config.representation.cameras, side=config.representation.side)
     stages, fps = true_stages(dataset), dataset.fps
     results: list[Result] = []
     with only_writer(work_dir):
@@ -94,7 +97,14 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
 
 def _signal(dataset: LocalDataset, patterns: list[str], setting: str) -> list[FloatArray]:
     """Reads the dimensions of the state that match, ``(T, d)`` per demonstration."""
-    dims = dims_used(setting, dimension_names(dataset.features[STATE]), patterns, ())
+    names = dimension_names(dataset.features[STATE])
+    for pattern in patterns:
+        if not select_dims(names, [pattern]):
+            raise ConfigError(
+                f"{setting}: {pattern!r} matches no dimension of the state. {near_names(pattern, names)} Say which are "
+                f"meant with --{setting}='[...]', or that there are none with --{setting}='[]'."
+            )
+    dims = select_dims(names, patterns)
     table = read_table(dataset, [STATE])
     state = table.columns[STATE].reshape(len(table.present), -1)[:, dims].astype(np.float64)
     return [state[start:end] for start, end in zip(table.starts, table.ends, strict=True)]

@@ -1,8 +1,11 @@
 """``lerobot-buds-compare`` on small scripted demonstrations, and its refusals."""
 
 import sys
+import warnings
 
+import numpy as np
 import pytest
+from lerobot.datasets import LeRobotDataset, add_features
 from matplotlib.image import imread
 
 from lerobot_buds.cli import compare
@@ -34,7 +37,7 @@ def test_all_methods_are_compared_on_every_seed(demonstrations, tmp_path, monkey
     ("arguments", "said"),
     [
         (["--seeds=0"], "seeds=0 cannot work"),
-        (["--gripper=[hand*]"], "No dimension of observation.state matches"),
+        (["--gripper=[hand*]"], "gripper: 'hand*' matches no dimension of the state."),
         (["--methods=[uniformly]"], "Did you mean 'uniform'"),
     ],
 )
@@ -45,3 +48,25 @@ def test_what_cannot_work_ends_in_one_line(demonstrations, tmp_path, monkeypatch
             *("--repo_id=tests/demos", f"--root={demonstrations}", f"--work_dir={tmp_path}", *SMALL, *arguments),
         )
     assert said in str(stop.value.code) and "\n" not in str(stop.value.code)
+
+
+def test_a_robot_with_other_names_is_told_how_to_say_them(make_dataset, tmp_path, monkeypatch, capsys):
+    stages = {"names": ["x", "claw"], "shape": (2,)}
+    root = make_dataset(tmp_path / "source", lengths=(40, 30), state=stages)
+    dataset = add_features(
+        LeRobotDataset("tests/foreign", root=root),
+        {"true_stage": (np.repeat([0, 1, 0, 1], [20, 20, 15, 15]), {"dtype": "int64", "shape": (1,), "names": None})},
+        output_dir=tmp_path / "staged",
+        repo_id="tests/staged",
+    )
+    arguments = ["--repo_id=tests/staged", f"--root={dataset.root}", f"--work_dir={tmp_path / 'work'}", *SMALL]
+    arguments += ["--representation.image_size=16", "--methods=[grip and rest, true stages]"]
+    with pytest.raises(SystemExit) as stop:
+        run(monkeypatch, *arguments)
+    assert "position: 'eef*' matches no dimension" in (said := str(stop.value.code))
+    assert (
+        "Known: 'claw', 'x'. Say which are meant with --position='[...]'" in said and not (tmp_path / "work").exists()
+    )
+    with warnings.catch_warnings(action="error", category=RuntimeWarning):  # the mean of no finger
+        run(monkeypatch, *arguments, "--position=[x]", "--gripper=[]")
+    assert "| grip and rest |" in capsys.readouterr().out
