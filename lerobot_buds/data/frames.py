@@ -31,6 +31,9 @@ logger = logging.getLogger(__name__)
 
 Frames = NDArray[np.uint8]
 
+ATTEMPTS = 5
+"""How often frames are decoded that vanish at once: the store may be removed at any time, by others too."""
+
 
 def cached_frames(
     dataset: AnyDataset, camera: str, cache_dir: Path | None = None, size: tuple[int, int] | None = None
@@ -62,10 +65,21 @@ def cached_frames(
     what = f"{camera}, {size[0]} x {size[1]}: {local.root}"
     array = EpisodeArray(path, (local.total_frames, 3, *size), np.uint8, what)
     here = _local_episodes(local, camera)
-    if _missing(array, here):
-        with only_writer(path, wait=True):
-            _fill(store, array, local, camera, _missing(array, here))
-    return array.read()
+    for _ in range(ATTEMPTS):
+        try:
+            if _missing(array, here):
+                with only_writer(path, wait=True):
+                    _fill(store, array, local, camera, _missing(array, here))
+            frames: Frames = array.read()
+        except FileNotFoundError:
+            logger.warning("%s was removed from the frame store meanwhile, and is made again", path)
+            continue
+        if not _missing(array, here):
+            return frames
+    raise StorageError(
+        f"{path} was removed {ATTEMPTS} times while it was made: others need its room in the frame store. Raise "
+        "BUDS_STORE_LIMIT (for example 200GB), or run one after the other."
+    )
 
 
 def frames_key(dataset: AnyDataset, camera: str, size: tuple[int, int] | None = None) -> str:
@@ -168,6 +182,8 @@ def _fill(
             except BaseException:
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
+    except FileNotFoundError:
+        raise
     except OSError as error:
         array.remove()
         raise StorageError(
