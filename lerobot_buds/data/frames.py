@@ -178,9 +178,11 @@ def _fill(
             try:
                 for done in as_completed(work):
                     done.result()
-                    array.finish(int(record["episode_index"]) for record in work[done].records)
+                    array.finish(work[done].episodes)
             except BaseException:
                 pool.shutdown(wait=True, cancel_futures=True)
+                whole = [part for done, part in work.items() if not done.cancelled() and done.exception() is None]
+                array.finish(number for part in whole for number in part.episodes)
                 raise
     except FileNotFoundError:
         raise
