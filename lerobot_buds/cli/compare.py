@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_buds.core import (
+    ACTION,
+    OUR_STATE,
     STATE,
     TRUE_STAGE,
     ConfigError,
@@ -81,10 +83,12 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
     dataset = config.open()
     if TRUE_STAGE not in dataset.features:
         raise DatasetError(f"{dataset.root} has no column {TRUE_STAGE!r}: no segmentation can be scored.")
-    check_demonstrations(dataset, config.representation.cameras, side=config.representation.side)
+    dataset.require([STATE, ACTION])
     position, fingers = (_signal(dataset, getattr(config, name), name) for name in OURS)
     gripper = [np.abs(opening).sum(axis=1) / max(1, opening.shape[1]) for opening in fingers]
-    methods = _methods(config, bool(position[0].shape[1] and fingers[0].shape[1]))
+    are_ours = tuple(dimension_names(dataset.features[STATE])) == OUR_STATE
+    methods = _methods(config, are_ours or (config.position is not None and config.gripper is not None))
+    check_demonstrations(dataset, config.representation.cameras, side=config.representation.side)
     stages, fps = true_stages(dataset), dataset.fps
     results: list[Result] = []
     with only_writer(work_dir):

@@ -20,6 +20,10 @@ logger = logging.getLogger(__name__)
 TIME_TOLERANCE_S = 1e-4  # LeRobot's own tolerance between a row's timestamp and its video frame
 CONSTANT_RANGE = 1e-6  # a dimension that moves less carries no information at float32 precision
 BLACK_LEVEL = 8  # a camera whose brightest pixel stays below saw nothing (of 255)
+_MISSING = (
+    "name others in the settings, or record them (--representation.cameras names cameras, --rename_map tells what has "
+    "another name, --representation.proprioception='[]' does without a state)"
+)
 SAMPLED_FRAMES = 64  # frames per camera looked at for blackness
 
 
@@ -50,7 +54,7 @@ def check_demonstrations(
     """
     local = LocalDataset.of(dataset)
     cameras = chosen_cameras(local.features, None if cameras is None else list(cameras), "--representation.cameras")
-    local.require([*cameras, *columns])
+    local.require([*cameras, *columns], _MISSING)
     sizes = {camera: used_size(frame_size(local.features[camera], camera), side) for camera in cameras}
     require_videos(local)
     table = read_table(local, [*columns, "timestamp", "frame_index", "episode_index"])

@@ -200,8 +200,12 @@ class LocalDataset:
         """Time at which an episode begins in its video file of one camera (seconds)."""
         return float(record[f"videos/{self.stored_name(camera)}/from_timestamp"])
 
-    def require(self, names: Sequence[str]) -> None:
+    def require(self, names: Sequence[str], remedy: str = "name others in the settings, or record them") -> None:
         """Refuses a dataset that lacks any of the named features, naming all missing ones at once.
+
+        Args:
+            names: The features.
+            remedy: What to do about it, for the message.
 
         Raises:
             DatasetError: At least one feature is missing.
@@ -209,10 +213,7 @@ class LocalDataset:
         missing = [name for name in names if name not in self.features]
         if missing:
             lines = "\n".join(f"  {name!r}: {near_names(name, self.features)}" for name in missing)
-            raise DatasetError(
-                f"{self.root} lacks {len(missing)} required feature(s); name others in the settings, or record them:"
-                f"\n{lines}"
-            )
+            raise DatasetError(f"{self.root} lacks {len(missing)} required feature(s); {remedy}:\n{lines}")
 
     def shards(self, columns: Sequence[str]) -> Iterator[pa.Table]:
         """Reads the local parquet files that hold chosen episodes one after the other.

@@ -49,6 +49,11 @@ class Portion:
     records: Sequence[Mapping[str, Any]]
     read: Callable[[], Rows]
 
+    @property
+    def episodes(self) -> list[int]:
+        """Their numbers."""
+        return [int(record["episode_index"]) for record in self.records]
+
 
 def backend_of(dataset: LocalDataset) -> str:
     """Tells which decoder LeRobot uses for the videos of a dataset.

@@ -31,6 +31,9 @@ logger = logging.getLogger(__name__)
 
 Frames = NDArray[np.uint8]
 
+ATTEMPTS = 5
+"""How often frames are decoded that vanish at once: the store may be removed at any time, by others too."""
+
 
 def cached_frames(
     dataset: AnyDataset, camera: str, cache_dir: Path | None = None, size: tuple[int, int] | None = None
@@ -62,10 +65,21 @@ def cached_frames(
     what = f"{camera}, {size[0]} x {size[1]}: {local.root}"
     array = EpisodeArray(path, (local.total_frames, 3, *size), np.uint8, what)
     here = _local_episodes(local, camera)
-    if _missing(array, here):
-        with only_writer(path, wait=True):
-            _fill(store, array, local, camera, _missing(array, here))
-    return array.read()
+    for _ in range(ATTEMPTS):
+        try:
+            if _missing(array, here):
+                with only_writer(path, wait=True):
+                    _fill(store, array, local, camera, _missing(array, here))
+            frames: Frames = array.read()
+        except FileNotFoundError:
+            logger.warning("%s was removed from the frame store meanwhile, and is made again", path)
+            continue
+        if not _missing(array, here):
+            return frames
+    raise StorageError(
+        f"{path} was removed {ATTEMPTS} times while it was made: others need its room in the frame store. Raise "
+        "BUDS_STORE_LIMIT (for example 200GB), or run one after the other."
+    )
 
 
 def frames_key(dataset: AnyDataset, camera: str, size: tuple[int, int] | None = None) -> str:
@@ -164,10 +178,14 @@ def _fill(
             try:
                 for done in as_completed(work):
                     done.result()
-                    array.finish(int(record["episode_index"]) for record in work[done].records)
+                    array.finish(work[done].episodes)
             except BaseException:
                 pool.shutdown(wait=True, cancel_futures=True)
+                whole = [part for done, part in work.items() if not done.cancelled() and done.exception() is None]
+                array.finish(number for part in whole for number in part.episodes)
                 raise
+    except FileNotFoundError:
+        raise
     except OSError as error:
         array.remove()
         raise StorageError(

@@ -18,7 +18,9 @@ import numpy as np
 from lerobot.utils.constants import HF_LEROBOT_HOME
 from numpy.typing import NDArray
 
-from lerobot_buds.core import ConfigError, StorageError, read_json, write_json
+from lerobot_buds.core import ConfigError, DatasetError, StorageError, read_json, write_json
+
+from .writing import only_writer
 
 logger = logging.getLogger(__name__)
 
@@ -60,7 +62,7 @@ class FrameStore:
 
     def arrays(self) -> list[Path]:
         """Lists the arrays, the least recently used first."""
-        return sorted(self.folder.glob("*.npy"), key=lambda path: path.stat().st_atime_ns)
+        return sorted(self.folder.glob("*.npy"), key=_used_at)
 
     def describe(self, path: Path) -> str:
         """Says in words what an array holds, as far as is known."""
@@ -74,7 +76,7 @@ class FrameStore:
         return freed
 
     def reserve(self, path: Path, needed: int) -> None:
-        """Makes room for a new or growing array by removing the least recently used others.
+        """Makes room for a new or growing array by removing the least recently used others that nobody is filling.
 
         Args:
             path: The array.
@@ -88,9 +90,13 @@ class FrameStore:
         used, free = self.used_bytes(), shutil.disk_usage(self.folder).free
         while others and (used + needed > self.limit_bytes or needed > free):
             oldest = others.pop(0)
-            size = _disk_bytes(oldest)
-            logger.info("%s makes room in the frame store: %s, %d bytes", oldest, self.describe(oldest), size)
-            _remove(oldest)
+            size, what = _disk_bytes(oldest), self.describe(oldest)
+            try:
+                with only_writer(oldest):
+                    _remove(oldest)
+            except DatasetError:
+                continue  # another process is filling it
+            logger.info("%s makes room in the frame store: %s, %d bytes", oldest, what, size)
             used, free = used - size, free + size
         if used + needed > self.limit_bytes:
             raise StorageError(
@@ -175,6 +181,13 @@ def _remove(path: Path) -> None:
     # The note first: an array without one counts as empty.
     _note_path(path).unlink(missing_ok=True)
     path.unlink(missing_ok=True)
+
+
+def _used_at(path: Path) -> int:
+    try:
+        return path.stat().st_atime_ns
+    except FileNotFoundError:  # another process has removed it meanwhile
+        return 0
 
 
 def _disk_bytes(path: Path) -> int:

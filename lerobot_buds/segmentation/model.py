@@ -3,7 +3,7 @@
 torch and LeRobot are imported on use, so that importing this module stays cheap.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -14,6 +14,7 @@ from lerobot_buds.core import (
     FloatArray,
     IntArray,
     SegmentationError,
+    same_rate,
 )
 
 from .exemplars import read_library, write_library
@@ -37,12 +38,14 @@ class SkillModel:
         config: Settings of skill discovery, with the durations that were taken from the demonstrations.
         library: Exemplars of the skills.
         lineage: The segmentations that gave the skills their numbers, see `SegmentationRecord.lineage`.
+        fps: Rate of the demonstrations that they were found in (frames per second).
     """
 
     representation: "Representation"
     config: DiscoveryConfig
     library: SkillLibrary
     lineage: tuple[str, ...] = ()
+    fps: float | None = None
 
     def label(self, dataset: "AnyDataset", grow: bool = False) -> "DiscoveredSkills":
         """Labels a dataset with the skills of the library.
@@ -55,15 +58,23 @@ class SkillModel:
         Raises:
             DatasetError: The dataset is damaged or incomplete.
             CheckpointError: Its cameras or its state are not those of the representation.
-            SegmentationError: It has no frames.
+            SegmentationError: It has no frames, or another rate than the demonstrations of the skills.
         """
-        latents, fps = _encoded(dataset, self.representation)
+        from lerobot_buds.data import LocalDataset
+
+        local = LocalDataset.of(dataset)
+        if self.fps is not None and not same_rate(self.fps, local.fps):
+            raise SegmentationError(
+                f"The skills were found at {self.fps:g} frames a second, {local.root} has {local.fps:g}: no policy "
+                "could use both. Take a library of this rate, or segment the dataset without one."
+            )
+        latents, fps = _encoded(local, self.representation)
         discovery = self.config.build(fps)
         bounds = discovery.cut(latents)
         min_length = discovery.durations_.min_skill_length
         labels = self.library.label(latents, bounds, grow=grow, min_length=min_length)
         library = self.library.with_demonstrations(latents, bounds, labels)
-        return DiscoveredSkills(labels, latents, SkillModel(self.representation, self.config, library, self.lineage))
+        return DiscoveredSkills(labels, latents, replace(self, library=library))
 
     def save(self, root: Path) -> None:
         """Writes representation and exemplars into a segmented dataset; the settings are in its record.
@@ -101,7 +112,8 @@ class SkillModel:
                 f"{root / SEGMENTATION_FILE} has settings that this version does not know ({error}); segment the "
                 "dataset that it was made from into another --output_root."
             ) from error
-        return cls(Representation.load(root / REPRESENTATION_DIR), config, read_library(root), record.lineage)
+        representation = Representation.load(root / REPRESENTATION_DIR)
+        return cls(representation, config, read_library(root), record.lineage, record.source.fps)
 
 
 @dataclass(frozen=True)
@@ -163,7 +175,7 @@ def discover_skills(
     library = SkillLibrary.of(
         latents, found.temporal_segments_, found.labels_, found.n_skills_, num_keyframes=config.num_keyframes
     )
-    model = SkillModel(representation, config.settled(found, fps), library)
+    model = SkillModel(representation, config.settled(found, fps), library, fps=fps)
     return DiscoveredSkills(found.labels_, latents, model, found.scores_, found.check_stability(latents))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_buds.core import (
+    COLLECTION_FILE,
     RECORD_DIR,
     SEGMENTATION_FILE,
     SKILL_ID,
@@ -22,9 +23,11 @@ from lerobot_buds.core import (
     DatasetError,
     IntArray,
     SegmentationError,
+    read_json,
     remove_leftovers,
     staged_directory,
     subgoals_of,
+    write_json,
 )
 
 from .model import SkillModel
@@ -52,7 +55,8 @@ def check_target(source: "AnyDataset", target_root: Path) -> None:
         target_root: Folder to create.
 
     Raises:
-        SegmentationError: The source is labelled already, or the target exists or lies in the source.
+        SegmentationError: The source is labelled already, the target exists or lies in the source, or the chosen
+            episodes cannot be cut out of its videos.
         DatasetError: Another process is writing the target, its disk is too full, or it cannot be written.
     """
     with _reserved(source, target_root):
@@ -79,8 +83,8 @@ def write_segmented_dataset(
         model: What labelled it, to label others with; left out where None.
 
     Raises:
-        SegmentationError: The record does not fit the source, the source is labelled already, or the target exists or
-            lies in the source.
+        SegmentationError: The record does not fit the source, the source is labelled already, the target exists or lies
+            in the source, or the chosen episodes cannot be cut out of its videos.
         DatasetError: The source is damaged or incomplete, another process is writing the target, or its disk is too
             full or cannot be written.
     """
@@ -91,7 +95,7 @@ def write_segmented_dataset(
         _check_source(local, record)
         with staged_directory(target_root) as staging, _chosen_only(local, staging, record.source.repo_id) as root:
             _write_columns(root, staging, target_repo_id, record)
-            _copy_records(local.root, staging)
+            _copy_records(local, staging)
             record.write(staging)
             if model is not None:
                 model.save(staging)
@@ -104,7 +108,8 @@ def _reserved(source: "AnyDataset", target_root: Path) -> Iterator[None]:
     """Keeps a target that can be written for this process alone; says what a failure to write means."""
     from lerobot_buds.data import LocalDataset, only_writer
 
-    source_root = LocalDataset.of(source).root
+    local = LocalDataset.of(source)
+    source_root = local.root
     labelled = [name for name in (SKILL_ID, SUBGOAL_INDEX) if name in LocalDataset(source_root).features]
     if labelled:
         raise SegmentationError(
@@ -112,6 +117,7 @@ def _reserved(source: "AnyDataset", target_root: Path) -> Iterator[None]:
         )
     if target_root.resolve().is_relative_to(source_root.resolve()):
         raise SegmentationError(f"{target_root} lies in {source_root}, which is only read; choose a target outside.")
+    _require_whole_rate(local)
     needed = sum(path.stat().st_size for path in source_root.rglob("*") if path.is_file()) + _SPARE_BYTES
     try:
         with only_writer(target_root):
@@ -125,6 +131,22 @@ def _reserved(source: "AnyDataset", target_root: Path) -> Iterator[None]:
             f"{target_root} could not be written ({error}). It needs about {needed} bytes on a disk that can be "
             f"written; nothing was left behind, and {source_root} is untouched."
         ) from error
+
+
+def _require_whole_rate(source: "LocalDataset") -> None:
+    """Refuses to cut videos of 29.97 frames a second: LeRobot gives the frames that it keeps the times of 29."""
+    chosen = [int(record["episode_index"]) for record in source.episodes]
+    others = [record for record in source.all_episodes if int(record["episode_index"]) not in chosen]
+    if source.fps.is_integer() or not others:
+        return
+    for camera in (name for name, feature in source.features.items() if feature["dtype"] == "video"):
+        kept = {source.video_path(record, camera) for record in source.episodes}
+        if cut := [path for path in (source.video_path(record, camera) for record in others) if path in kept]:
+            raise SegmentationError(
+                f"{cut[0]} holds chosen and other episodes at {source.fps:g} frames per second: LeRobot cuts videos at "
+                "whole rates only, and would give these frames wrong times. Segment all episodes, and train on those "
+                f"chosen with --dataset.episodes='{chosen}'."
+            )
 
 
 def _check_source(source: "LocalDataset", record: SegmentationRecord) -> None:
@@ -205,7 +227,12 @@ def _drop_cache(dataset: "LeRobotDataset") -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _copy_records(source: Path, staging: Path) -> None:
-    if (source / RECORD_DIR).is_dir():
+def _copy_records(source: "LocalDataset", staging: Path) -> None:
+    if (source.root / RECORD_DIR).is_dir():
         stale = shutil.ignore_patterns(Path(SEGMENTATION_FILE).name)
-        shutil.copytree(source / RECORD_DIR, staging / RECORD_DIR, ignore=stale)
+        shutil.copytree(source.root / RECORD_DIR, staging / RECORD_DIR, ignore=stale)
+    if source.chosen is not None and (staging / COLLECTION_FILE).exists():
+        # What it says episode by episode is of the whole; which of them these are must be said beside it.
+        write_json(
+            staging / COLLECTION_FILE, {**read_json(staging / COLLECTION_FILE), "chosen_episodes": list(source.chosen)}
+        )

@@ -1,8 +1,11 @@
 """``lerobot-buds-compare`` on small scripted demonstrations, and its refusals."""
 
 import sys
+import warnings
 
+import numpy as np
 import pytest
+from lerobot.datasets import LeRobotDataset, add_features
 from matplotlib.image import imread
 
 from lerobot_buds.cli import compare
@@ -36,7 +39,7 @@ def test_all_methods_are_compared_on_every_seed(demonstrations, tmp_path, monkey
     ("arguments", "said"),
     [
         (["--seeds=0"], "seeds=0 cannot work"),
-        (["--gripper=[hand*]"], "gripper: 'hand*' matches no dimension of the state"),
+        (["--gripper=[hand*]"], "gripper: 'hand*' matches no dimension of the state."),
         (["--methods=[uniformly]"], "Did you mean 'uniform'"),
     ],
 )
@@ -57,3 +60,22 @@ def test_hand_and_gripper_of_somebody_elses_robot_are_not_guessed(caplog):
     assert "needs --position and --gripper" in caplog.text and "left out" in caplog.text
     with pytest.raises(ConfigError, match="needs --position and --gripper"):
         _methods(CompareConfig("tests/any", methods=[GRIP_AND_REST]), with_signals=False)
+
+
+def test_a_robot_with_other_names_is_told_how_to_say_them(make_dataset, tmp_path, monkeypatch, capsys):
+    stages = {"names": ["x", "claw"], "shape": (2,)}
+    root = make_dataset(tmp_path / "source", lengths=(40, 30), state=stages)
+    dataset = add_features(
+        LeRobotDataset("tests/foreign", root=root),
+        {"true_stage": (np.repeat([0, 1, 0, 1], [20, 20, 15, 15]), {"dtype": "int64", "shape": (1,), "names": None})},
+        output_dir=tmp_path / "staged",
+        repo_id="tests/staged",
+    )
+    arguments = ["--repo_id=tests/staged", f"--root={dataset.root}", f"--work_dir={tmp_path / 'work'}", *SMALL]
+    arguments += ["--representation.image_size=16", "--methods=[grip and rest, true stages]"]
+    with pytest.raises(SystemExit) as stop:
+        run(monkeypatch, *arguments)
+    assert "needs --position and --gripper" in str(stop.value.code) and not (tmp_path / "work").exists()
+    with warnings.catch_warnings(action="error", category=RuntimeWarning):  # the mean of no finger
+        run(monkeypatch, *arguments, "--position=[x]", "--gripper=[]")
+    assert "| grip and rest |" in capsys.readouterr().out

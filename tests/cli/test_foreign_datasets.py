@@ -81,6 +81,9 @@ def test_foreign_datasets_are_segmented_as_they_are(name, make_dataset, settings
 
 def test_a_dataset_without_state_is_told_how_to_go_on(make_dataset, settings, tmp_path):
     source = make_dataset(tmp_path / "source", state={"shape": ()})
-    with pytest.raises(DatasetError, match=r"lacks 1 required.*name others in the settings(?s:.*)'observation.state'"):
+    with pytest.raises(
+        DatasetError, match=r"lacks 1 required.*name others in the settings(?s:.*)'observation.state'"
+    ) as e:
         segment(settings(source, tmp_path))
+    assert "--representation.proprioception='[]' does without a state" in str(e.value)
     assert not (tmp_path / "skills").exists() and not (tmp_path / "work").exists()

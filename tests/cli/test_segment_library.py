@@ -125,3 +125,12 @@ def test_a_dataset_of_other_cameras_is_refused(
         segment(pass_with(other, tmp_path / "out", settings, library=str(library)))
     with pytest.raises(ConfigError, match="must be at least 1"):
         segment(settings(other, tmp_path / "out", discovery={"max_skills": 0}))
+
+
+def test_skills_of_another_rate_are_refused(
+    make_dataset: Callable, library: Path, settings: Callable, tmp_path: Path
+) -> None:
+    other = make_dataset(tmp_path / "other", lengths=(40, 36), fps=12.5)
+    with pytest.raises(SegmentationError, match=r"found at \d+ frames a second, .*other has 12\.5"):
+        segment(pass_with(other, tmp_path, settings, library=str(library)))
+    assert not (tmp_path / "skills").exists()

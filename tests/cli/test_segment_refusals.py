@@ -7,11 +7,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
+from lerobot.datasets import LeRobotDataset
 
 from lerobot_buds.cli.segment import segment
-from lerobot_buds.core import BudsError, ConfigError, DatasetError, SegmentationError, StorageError
+from lerobot_buds.core import ACTION, STATE, BudsError, ConfigError, DatasetError, SegmentationError, StorageError
 from lerobot_buds.data import only_writer
+from lerobot_buds.data.writing import camera_feature, create_dataset, vector_feature, write_episode
 from lerobot_buds.segmentation import load_labels
 
 
@@ -125,3 +128,24 @@ def test_of_two_passes_at_once_one_ends_whole(source, settings, hashes, tmp_path
     segment(settings(source, tmp_path / "alone", representation={"seed": finished.index(True)}))
     for name in ("skills", "work"):
         assert hashes(tmp_path / name) == hashes(tmp_path / "alone" / name)
+
+
+@pytest.mark.parametrize("fps", [12.5, 29.97])
+def test_videos_are_not_cut_at_rates_that_are_not_whole(settings, refused, tmp_path, fps):
+    """LeRobot would; the frames that it keeps have the times of 12 and 29 frames a second, and cannot be loaded."""
+    vectors = {STATE: vector_feature(["x"]), ACTION: vector_feature(["dx"])}
+    made = create_dataset(
+        "tests/cut", tmp_path / "source", fps, {"observation.image": camera_feature((32, 32, 3), True)} | vectors
+    )
+    noise = np.random.default_rng(0)
+    for length in (40, 35, 30):
+        columns = {name: noise.normal(size=(length, 1)).astype(np.float32) for name in vectors}
+        write_episode(
+            made, columns | {"observation.image": noise.integers(0, 255, (length, 32, 32, 3), np.uint8)}, "go"
+        )
+    made.finalize()
+    message = refused(tmp_path / "source", SegmentationError, episodes=[0, 2])
+    assert f"other episodes at {fps:g} frames per second" in message and "--dataset.episodes='[0, 2]'" in message
+    segment(settings(tmp_path / "source", tmp_path / "whole", episodes=[0, 1, 2]))
+    advised = LeRobotDataset("tests/skills", root=tmp_path / "whole/skills", episodes=[0, 2])
+    assert len(advised) == 70 and advised[69]["observation.image"].shape == (3, 32, 32)

@@ -1,6 +1,7 @@
 import json
 import shutil
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +13,8 @@ import pytest
 from lerobot.datasets import LeRobotDataset, add_features
 
 from lerobot_buds.core import DatasetError, StorageError
-from lerobot_buds.data import cached_frames, frames_key
+from lerobot_buds.data import EpisodeArray, cached_frames, frames_key
+from lerobot_buds.data import frames as frames_module
 
 FRONT = "observation.images.front"
 WRIST = "observation.images.wrist"
@@ -53,8 +55,15 @@ def test_decoded_once_by_threads_that_ask_at_the_same_time(video_root: Path, tmp
 
 
 def test_video_with_too_few_frames_names_both_counts(
-    video_root: Path, copy_of: Callable[[Path], Path], tmp_path: Path
+    video_root: Path, copy_of: Callable[[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    decode = frames_module._decode
+
+    def slow(array: EpisodeArray, portion: frames_module.Portion, bar: object) -> None:
+        time.sleep(0.5 if portion.episodes == [1] else 0.0)  # still at work when the damage is found
+        decode(array, portion, bar)
+
+    monkeypatch.setattr(frames_module, "_decode", slow)
     root = copy_of(video_root)
     longer = tmp_path / "longer"
     shutil.copytree(root, longer)

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from lerobot_buds.core import ConfigError, DatasetError, StorageError
-from lerobot_buds.data import EpisodeArray, FrameStore, LocalDataset, cached_frames, scale_images, used_size
+from lerobot_buds.data import (
+    EpisodeArray,
+    FrameStore,
+    LocalDataset,
+    cached_frames,
+    only_writer,
+    scale_images,
+    used_size,
+)
 from lerobot_buds.data import frames as frames_module
 
 FRONT, WRIST = "observation.images.front", "observation.images.wrist"
@@ -129,3 +137,37 @@ def test_damage_in_one_episode_does_not_hide_the_others(
     with pytest.raises(DatasetError, match=r"file-000\.mp4: episode \d has \d rows but only 0 video frames"):
         cached_frames(root, FRONT, tmp_path)
     assert not any(EpisodeArray(p, (18, 3, 64, 64), np.uint8, "").finished() for p in tmp_path.glob("*.npy"))
+
+
+def test_a_store_that_is_removed_meanwhile_is_filled_again(
+    video_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, store, removals = cached_frames(video_root, WRIST, tmp_path / "whole"), tmp_path / "store", [0, 0]
+    decode, read = frames_module._decode, EpisodeArray.read
+
+    def decoding(array: EpisodeArray, portion: frames_module.Portion, bar: object) -> None:
+        removals[0] += 1
+        if removals[0] == 1:
+            shutil.rmtree(store)
+        decode(array, portion, bar)
+
+    def reading(array: EpisodeArray) -> np.ndarray:
+        removals[1] += 1
+        if removals[1] == 1:
+            shutil.rmtree(store)
+        return read(array)
+
+    monkeypatch.setattr(frames_module, "_decode", decoding)
+    monkeypatch.setattr(EpisodeArray, "read", reading)
+    np.testing.assert_array_equal(cached_frames(video_root, WRIST, store), whole)
+    assert removals[1] == 2
+    monkeypatch.setattr(EpisodeArray, "read", lambda array: shutil.rmtree(store) or read(array))
+    with pytest.raises(StorageError, match=r"was removed 5 times .* Raise BUDS_STORE_LIMIT"):
+        cached_frames(video_root, WRIST, store)
+
+
+def test_what_another_is_filling_makes_no_room(tmp_path: Path) -> None:
+    oldest, other = filled(tmp_path, "oldest", 100), filled(tmp_path, "other", 200)
+    with only_writer(oldest.path):
+        FrameStore(tmp_path, int(2.5 * BLOCK)).reserve(tmp_path / "new.npy", BLOCK)
+    assert oldest.finished() == {0} and not other.path.exists()
