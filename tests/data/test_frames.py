@@ -107,3 +107,34 @@ def _pretend_last_episode_is_longer(root: Path, was: int, now: int) -> None:
     info = json.loads((root / "meta/info.json").read_text())
     info["total_frames"] += now - was
     (root / "meta/info.json").write_text(json.dumps(info))
+
+
+def _encode_again(path: Path, pixel_format: str) -> None:
+    """Rewrites a video as BT.709 of full range."""
+    import av
+
+    with av.open(str(path)) as source:
+        stream = source.streams.video[0]
+        rate, pictures = stream.average_rate, [frame.to_ndarray(format="rgb24") for frame in source.decode(stream)]
+    with av.open(str(path), "w") as target:
+        written = target.add_stream("libx264", rate=rate)
+        written.height, written.width, written.pix_fmt = *pictures[0].shape[:2], pixel_format
+        written.codec_context.color_range, written.codec_context.colorspace = 2, 1  # full, BT.709
+        for picture in pictures:
+            target.mux(written.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        target.mux(written.encode())
+
+
+@pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv420p10le"])
+@pytest.mark.parametrize("backend", ["torchcodec", "pyav"])
+def test_colours_are_those_of_lerobots_decoder_whatever_the_video_is_tagged(
+    pixel_format: str, backend: str, video_root: Path, copy_of: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    """Of full range, BT.709, and 8 or 10 bits: what matters is to see what the batches of a policy show."""
+    root = copy_of(video_root)
+    _encode_again(next((root / "videos" / FRONT).rglob("*.mp4")), pixel_format)
+    dataset = LeRobotDataset("test/frames", root=root, video_backend=backend)
+    frames = cached_frames(dataset, FRONT, tmp_path)
+    for index in (0, 8, 17):
+        theirs = (dataset[index][FRONT].numpy() * 255).round().astype(np.uint8)
+        np.testing.assert_array_equal(frames[index], theirs)
