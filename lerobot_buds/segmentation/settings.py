@@ -12,6 +12,9 @@ from .tree import Feature
 
 TREE = "tree"
 
+MAX_SKILLS = 12
+"""Most skills that are looked for where no setting says otherwise (ours, measured: docs/segmentation.md)."""
+
 
 @dataclass(frozen=True)
 class DiscoveryConfig:
@@ -23,9 +26,9 @@ class DiscoveryConfig:
     window_s: float | None = None
     """Length of the tree's bottom elements (seconds); None for a 50th of the median demonstration. Paper: 0.5."""
 
-    max_skills: int = 12
-    """Most skills K_max; too short ones are dissolved. Ours, measured. Implementation notes: 10 for Multitask-Kitchen,
-    8 for Kitchen, 6 for Tool-Use and Hammer-Place."""
+    max_skills: int | None = None
+    """Most skills K_max; too short ones are dissolved. None: `MAX_SKILLS`. Implementation notes: 10 for
+    Multitask-Kitchen, 8 for Kitchen, 6 for Tool-Use and Hammer-Place."""
 
     n_skills: int | Literal["auto"] | None = None
     """If given, exactly this many skills, none dissolved; ``auto`` for the number up to `max_skills` that parts the
@@ -97,7 +100,7 @@ class DiscoveryConfig:
         return SkillDiscovery(
             cutter=None if self.cut == TREE else lambda latents: CUTS[self.cut](latents, fps),
             window=frames(self.window_s),
-            max_skills=self.max_skills,
+            max_skills=MAX_SKILLS if self.max_skills is None else self.max_skills,
             n_skills=self.n_skills,
             segments_per_episode=self.segments_per_episode,
             segment_worth=self.segment_worth,
@@ -115,7 +118,7 @@ class DiscoveryConfig:
         )
 
     def settled(self, found: SkillDiscovery, fps: float) -> Self:
-        """Makes settings with the durations that a discovery took from its demonstrations, for further ones.
+        """Makes settings with the number and durations that a discovery worked with, for further demonstrations.
 
         Args:
             found: A fitted discovery that these settings built.
@@ -124,6 +127,7 @@ class DiscoveryConfig:
         lengths = found.durations_
         return replace(
             self,
+            max_skills=found.max_skills,
             window_s=lengths.window / fps,
             min_segment_s=lengths.min_segment_length / fps,
             min_skill_s=lengths.min_skill_length / fps,
@@ -134,8 +138,8 @@ class DiscoveryConfig:
 def preset(name: str, config: DiscoveryConfig) -> DiscoveryConfig:
     """Makes settings follow the paper or the released code wherever they depart from it.
 
-    Task-dependent settings (numbers of skills and keyframes, durations) stay as they are; durations that are None
-    become the published ones of Kitchen.
+    Task-dependent settings (numbers of skills and keyframes, durations) stay as they are; those that are None become
+    the published ones of the kitchens.
 
     Args:
         name: ``default`` (ours; changes nothing), ``paper`` or ``released``.
@@ -151,9 +155,9 @@ def preset(name: str, config: DiscoveryConfig) -> DiscoveryConfig:
     return replace(config, **published | changes)
 
 
-PUBLISHED: dict[str, float] = {"window_s": 0.5, "min_segment_s": 1.0, "min_skill_s": 1.5}
-"""Durations of the presets but the default (seconds), where no setting gives others. Paper; open there, hence ours; and
-released command for Kitchen."""
+PUBLISHED: dict[str, Any] = {"max_skills": 10, "window_s": 0.5, "min_segment_s": 1.0, "min_skill_s": 1.5}
+"""Number and durations (seconds) of the presets but the default, where no setting gives others. Implementation notes;
+paper; open there, hence ours; and released command for Kitchen."""
 
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -203,6 +203,7 @@ def test_presets_follow_the_paper_and_the_release(demonstrations: Callable[..., 
     assert released.length_penalty == pytest.approx(1 / 5) and not released.relative_penalty
     assert released.gamma == pytest.approx(0.0025) and released.max_skills == 4 and released.num_keyframes == 3
     assert preset("default", config) == config
+    assert [preset(name, DiscoveryConfig()).build(20).max_skills for name in PRESETS] == [12, 10, 10]
     latents, _ = demonstrations(noise=1.0)
     for name in PRESETS:
         assert_partition(preset(name, config).build(20).fit(latents), latents)

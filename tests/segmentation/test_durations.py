@@ -126,9 +126,9 @@ def test_settings_keep_the_durations_that_were_found() -> None:
     again = settled.build(30)
     again.cut(latents[:1])
     assert again.durations_ == found.durations_
-    assert replace(settled, window_s=None, min_segment_s=None, min_skill_s=None, segment_worth=None) == (
-        DiscoveryConfig()
-    )
+    assert settled.max_skills == again.max_skills == found.max_skills
+    open_again = dict.fromkeys(("max_skills", "window_s", "min_segment_s", "min_skill_s", "segment_worth"))
+    assert replace(settled, **open_again) == DiscoveryConfig()
     assert found.durations_.min_skill_length == min_skill_of([240])
 
 
