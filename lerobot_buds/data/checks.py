@@ -133,14 +133,14 @@ def require_finite(table: FrameTable, column: str, names: Sequence[str]) -> None
     Raises:
         DatasetError: A present row is not finite; names episode, frame and dimension of the first one.
     """
-    bad = ~np.isfinite(_as_matrix(table, column)) & table.present[table.rows, None]
+    values = _as_matrix(table, column)
+    bad = ~np.isfinite(values) & table.present[table.rows, None]
     if bad.any():
         place, dim = (int(i) for i in np.argwhere(bad)[0])
-        value = _as_matrix(table, column)[place, dim]
         row = int(table.rows[place])
         raise DatasetError(
-            f"{table.root}: {column!r} is {value} in {table.locate(row)}, dimension {dim} ({names[dim]!r}); "
-            f"{int(bad.any(axis=1).sum())} frame(s) are affected. Repair the recording, or remove these episodes with "
+            f"{table.root}: {column!r} is {values[place, dim]} in {table.locate(row)}, dimension {dim} "
+            f"({names[dim]!r}); {int(bad.any(axis=1).sum())} frame(s) are affected. Repair the recording, or remove these episodes with "
             "lerobot-edit-dataset."
         )
 

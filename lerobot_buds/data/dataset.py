@@ -196,6 +196,11 @@ class LocalDataset:
             file_index=record[f"videos/{stored}/file_index"],
         )
 
+    def frames_path(self, record: Mapping[str, Any], camera: str) -> Path:
+        """Path of the file that holds an episode's frames of one camera, be they a video or images among its rows."""
+        is_video = self.features[camera]["dtype"] == "video"
+        return self.video_path(record, camera) if is_video else self.data_path(record)
+
     def video_start(self, record: Mapping[str, Any], camera: str) -> float:
         """Time at which an episode begins in its video file of one camera (seconds)."""
         return float(record[f"videos/{self.stored_name(camera)}/from_timestamp"])

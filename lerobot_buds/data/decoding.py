@@ -4,7 +4,7 @@ import threading
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -61,11 +61,17 @@ def backend_of(dataset: LocalDataset) -> str:
     Raises:
         ConfigError: An unknown one was asked for.
     """
-    backend = dataset.video_backend or get_safe_default_video_backend()
-    backend = "pyav" if backend == "video_reader" else str(backend)  # LeRobot's alias
+    backend = dataset.video_backend or _default_backend()
+    backend = "pyav" if backend == "video_reader" else backend  # LeRobot's alias
     if backend not in BACKENDS:
         raise ConfigError(f"video_backend={backend!r} is unknown. {near_names(backend, BACKENDS)}")
     return backend
+
+
+@cache
+def _default_backend() -> str:
+    """Asks LeRobot once: where torchcodec cannot be loaded, it says so at every question."""
+    return str(get_safe_default_video_backend())
 
 
 def portions(dataset: LocalDataset, camera: str, records: Sequence[Mapping[str, Any]]) -> list[Portion]:
@@ -80,22 +86,22 @@ def portions(dataset: LocalDataset, camera: str, records: Sequence[Mapping[str, 
         return [Portion([record], partial(_of_video, dataset, camera, record)) for record in records]
     by_path: dict[Path, list[Mapping[str, Any]]] = {}
     for record in records:
-        by_path.setdefault(dataset.data_path(record), []).append(record)
+        by_path.setdefault(dataset.frames_path(record, camera), []).append(record)
     return [Portion(inside, partial(_of_images, dataset, camera, path, inside)) for path, inside in by_path.items()]
 
 
 def _of_video(dataset: LocalDataset, camera: str, record: Mapping[str, Any]) -> Rows:
     path, first = dataset.video_path(record, camera), int(record["dataset_from_index"])
     start, length, fps = dataset.video_start(record, camera), int(record["length"]), dataset.fps
+    backend, size = backend_of(dataset), frame_size(dataset.features[camera], camera)
     for begin in range(0, length, CHUNK):
         times = [start + frame / fps for frame in range(begin, min(begin + CHUNK, length))]
         try:
             # Half a frame, so that the right frame is found wherever LeRobot's narrower bound lets it be found, and in
             # files so long that float32 holds their times no more exactly than that bound.
-            frames = _decode(path, times, 0.5 / fps, backend_of(dataset))
+            frames = _decode(path, times, 0.5 / fps, backend)
         except (ValueError, IndexError, RuntimeError, OSError) as error:
             raise _damage(dataset, camera, record, error) from error
-        size = frame_size(dataset.features[camera], camera)
         if frames.shape[1:] != (3, *size):
             raise DatasetError(f"{path} holds frames of shape {frames.shape[1:]}; info.json says {(3, *size)}.")
         yield first + begin, frames

@@ -96,8 +96,9 @@ def frames_key(dataset: AnyDataset, camera: str, size: tuple[int, int] | None = 
     local = LocalDataset.of(dataset)
     local.require([camera])
     is_video = local.features[camera]["dtype"] == "video"
-    path_of = (lambda record: local.video_path(record, camera)) if is_video else local.data_path
-    paths = list(dict.fromkeys(path_of(record) for record in local.all_episodes))
+    path_of = [local.frames_path(record, camera) for record in local.all_episodes]
+    paths = list(dict.fromkeys(path_of))
+    place_of = {path: place for place, path in enumerate(paths)}
     if is_video:
         content = [_video_hash(path, _stamp(path)) if path.exists() else None for path in paths]
         starts = [local.video_start(record, camera) for record in local.all_episodes]
@@ -111,7 +112,7 @@ def frames_key(dataset: AnyDataset, camera: str, size: tuple[int, int] | None = 
             "size": size or frame_size(local.features[camera], camera),
             "lengths": [int(record["length"]) for record in local.all_episodes],
             "content": content,
-            "places": [paths.index(path_of(record)) for record in local.all_episodes],
+            "places": [place_of[path] for path in path_of],
             "starts": starts,
             "decoder": backend_of(local) if is_video else "images",
         }
@@ -142,12 +143,13 @@ def _images_hash(path: Path, column: str, stamp: tuple[int, int]) -> str:
 
 def _local_episodes(dataset: LocalDataset, camera: str) -> list[Mapping[str, Any]]:
     """Lists the chosen episodes whose frames are on this machine; names the others in a warning."""
-    is_video = dataset.features[camera]["dtype"] == "video"
-    paths = [dataset.video_path(r, camera) if is_video else dataset.data_path(r) for r in dataset.episodes]
-    here: list[Mapping[str, Any]] = [
-        record for record, path in zip(dataset.episodes, paths, strict=True) if path.exists()
-    ]
-    absent = [r["episode_index"] for r, path in zip(dataset.episodes, paths, strict=True) if not path.exists()]
+    here: list[Mapping[str, Any]] = []
+    absent: list[int] = []
+    for record in dataset.episodes:
+        if dataset.frames_path(record, camera).exists():
+            here.append(record)
+        else:
+            absent.append(int(record["episode_index"]))
     if absent and not here:
         raise DatasetError(f"{dataset.root} holds no frames of {camera!r}: download the files of the dataset first.")
     if absent:

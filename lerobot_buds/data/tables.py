@@ -6,6 +6,7 @@ place.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ class FrameTable:
         """Number of chosen episodes."""
         return len(self.starts)
 
-    @property
+    @cached_property
     def rows(self) -> IntArray:
         """Absolute indices of all frames of the chosen episodes, ``(M,)``, in ascending order."""
         lengths = self.ends - self.starts

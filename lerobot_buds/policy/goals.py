@@ -77,8 +77,9 @@ class GoalFrames:
 
     def _candidates(self) -> Iterator[tuple[str, str | None]]:
         """Lists cameras and decoders, the most likely first: the camera of this name, LeRobot's default decoder."""
-        features = LocalDataset(self._root).features
-        alike = [c for c in LocalDataset(self._root).cameras if frame_size(features[c], c) == self._stored]
+        dataset = LocalDataset(self._root)
+        features = dataset.features
+        alike = [c for c in dataset.cameras if frame_size(features[c], c) == self._stored]
         for camera in sorted(alike, key=lambda name: name != self._camera):
             is_video = features[camera]["dtype"] == "video"
             yield from ((camera, backend) for backend in ((None, "pyav") if is_video else (None,)))
