@@ -140,8 +140,8 @@ def require_finite(table: FrameTable, column: str, names: Sequence[str]) -> None
         row = int(table.rows[place])
         raise DatasetError(
             f"{table.root}: {column!r} is {values[place, dim]} in {table.locate(row)}, dimension {dim} "
-            f"({names[dim]!r}); {int(bad.any(axis=1).sum())} frame(s) are affected. Repair the recording, or remove these "
-            "episodes with lerobot-edit-dataset."
+            f"({names[dim]!r}); {int(bad.any(axis=1).sum())} frame(s) are affected. Repair the recording, or "
+            "remove these episodes with lerobot-edit-dataset."
         )
 
 
