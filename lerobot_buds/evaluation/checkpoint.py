@@ -57,7 +57,7 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
     from lerobot.policies import make_policy, make_pre_post_processors
 
     from lerobot_buds.data import download
-    from lerobot_buds.policy.settling import check_environment, task_number  # registers the policy with LeRobot, too
+    from lerobot_buds.policy.fitting import check_environment, task_number  # registers the policy with LeRobot, too
 
     folder = Path(name) if Path(name).is_dir() else download(name, ["*.json", "*.safetensors"])
     _check_files(folder)

@@ -162,14 +162,12 @@ class Decider:
         """Puts the encoded goal frames of demonstrations in the place of what the meta controller imagined."""
         import torch
 
-        from lerobot_buds.data import as_floats
-
         goals = {i: hint.goal for i, hint in enumerate(advice) if hint.goal is not None}
         if self.guide is None or not goals:
             return subgoals
-        frames = as_floats(torch.from_numpy(self.guide.goals[list(goals.values())]).to(subgoals.device))
+        frames = torch.from_numpy(self.guide.goals[list(goals.values())]).to(subgoals.device)
         subgoals = subgoals.clone()
-        subgoals[list(goals)] = self.policy.skills.encode_subgoals(skills[list(goals)], frames)
+        subgoals[list(goals)], _ = self.policy.model.encode_goals(skills[list(goals)], frames)
         return subgoals
 
 

@@ -57,7 +57,8 @@ class Guide:
 
     Attributes:
         frames: Their frames in the latent space.
-        goals: ``(N, 3, h, w)`` uint8 workspace images of all frames, at the size that the policy sees.
+        goals: What the policy makes subgoals of, for all frames: ``(N, 3, h, w)`` uint8 workspace images at the size
+            that it sees, or ``(N, z)`` float32 latents.
         stages: ``(N,)`` int64 number of the task's stage in which a frame is; empty where nobody knows.
         representation: Makes the latents.
         labels: Hash of their labels.
@@ -65,7 +66,7 @@ class Guide:
     """
 
     frames: DemonstrationFrames
-    goals: NDArray[np.uint8]
+    goals: NDArray[np.uint8] | NDArray[np.float32]
     stages: IntArray
     representation: "Representation"
     labels: str
@@ -106,6 +107,8 @@ class Guide:
         representation.network.to(str(config.device))
         frames = DemonstrationFrames(latents, starts, ends, skills, subgoals, record.n_skills, config.meta_period)
         stages = _stages(root, task) if TRUE_STAGE in LocalDataset(root).features else np.empty(0, dtype=np.int64)
+        if config.subgoal_space == "latent":
+            return cls(frames, latents.astype(np.float32), stages, representation, record.labels_hash, neighbors)
         stored = LocalDataset(root).features
         known = {old: new for old, new in (renamed or {}).items() if old in stored}
         goals = cached_frames(LocalDataset(root, renamed=known), config.stacked_cameras[0], size=config.image_shape)

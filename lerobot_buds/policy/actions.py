@@ -85,14 +85,14 @@ def _is_binary(column: NDArray[np.float32]) -> bool:
     return len(values) == 2 and counts.min() > 1
 
 
-def settle_actions(config: BudsConfig, found: ActionRange) -> None:
+def choose_coding(config: BudsConfig, found: ActionRange) -> None:
     """Decides how actions are scaled and which are one of two values, where that is open.
 
     Recordings of our own environments, which are told by the names of state and action, keep the paper's head: a plain
     number in [-1, 1] for the gripper, too.
 
     Args:
-        config: Changed in place; its state names are settled.
+        config: Changed in place; its state names are known.
         found: The actions of the dataset.
 
     Raises:
@@ -134,7 +134,7 @@ def _check_binary(dims: Sequence[int], found: ActionRange) -> None:
         raise ConfigError(f"binary_dims: {found.named(more)} take more than two values. Leave it out to have it found.")
 
 
-def keep_older_actions(config: BudsConfig) -> None:
+def assume_plain_actions(config: BudsConfig) -> None:
     """Completes the configuration of a checkpoint from before actions were scaled, and of a policy without a dataset.
 
     Args:
@@ -152,7 +152,7 @@ class ActionCoding(nn.Module):
     greater value, the expected value twice its probability less 1, and the action the more probable value.
 
     Args:
-        config: A configuration whose actions are settled.
+        config: A configuration that is completed.
         found: The actions of the dataset; None where a checkpoint or a library will be loaded.
     """
 
@@ -201,6 +201,10 @@ class ActionCoding(nn.Module):
     def misses(self, output: Tensor, actions: Tensor) -> Tensor:
         """Computes mean absolute errors ``(...)`` of ``(..., A)`` outputs, in the dataset's unit, to be looked at."""
         return (self.decode(self.expected(output)) - actions).abs().mean(dim=-1)
+
+    def distance(self, one: Tensor, other: Tensor) -> Tensor:
+        """Computes squared distances ``(...)`` of ``(..., A)`` actions in the scale in which they are learnt."""
+        return (self._encode(one) - self._encode(other)).square().sum(dim=-1)
 
     def decode(self, expected: Tensor) -> Tensor:
         """Turns what the skills expect into actions in the dataset's unit; ``(..., A)`` both."""

@@ -22,8 +22,10 @@ CHOICES = {
     "skills": ("segments", "single", "flat"),
     "encoder": ("resnet18", "conv"),
     "norm": ("batch", "group"),
-    "schedule": ("joint", "sequential"),
+    "subgoal_space": ("image", "latent"),
+    "heads": ("separate", "residual"),
     "meta_controllers": ("per_task", "conditioned"),
+    "meta_trunk": ("own", "skills"),
     "meta_cameras": ("workspace", "all"),
 }
 """Fields of the configuration that take one word, and the words."""
@@ -33,9 +35,10 @@ ACTION_SCALINGS = ("bounds", "none")
 
 LIBRARY_FIELDS = (
     *("skills", "subgoal_horizon_s", "cameras", "workspace_camera", "image_size", "current_state", "history_state"),
-    *("gripper_history_s", "encoder", "norm", "conv_channels", "keypoints", "image_feature", "subgoal_dim"),
-    *("head_widths", "shared_trunk", "chunk_size", "termination", "n_skills", "segmentation", "fps", "render_profile"),
-    *("state_names", "current_dims", "history_dims", "action_scaling", "binary_dims"),
+    *("gripper_history_s", "encoder", "norm", "conv_channels", "keypoints", "image_feature", "subgoal_space"),
+    *("subgoal_dim", "head_widths", "heads", "shared_trunk", "chunk_size", "n_skills", "segmentation", "fps"),
+    *("representation", "render_profile", "state_names", "current_dims", "history_dims", "action_scaling"),
+    *("binary_dims",),
 )
 """Fields that say what the skills are: with `skills_path` they are those of the library."""
 
@@ -76,7 +79,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     history_state: list[str] | None = None  # read before now. None: nothing; of our environments, the gripper
     gripper_history_s: float = 0.25  # how far back; 5 readings at 20 Hz (released code)
 
-    # Actions; what None stands for is settled by the dataset, see `policy.actions`
+    # Actions; what None stands for the dataset decides, see `policy.actions`
     action_scaling: str | None = None  # "bounds": least and greatest of the dataset; "none": they lie in [-1, 1]
     binary_dims: list[int] | None = None  # dimensions that take one of two values; None: those that do in the dataset
 
@@ -86,22 +89,29 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     conv_channels: list[int] = field(default_factory=lambda: [32, 64, 64])  # stages of "conv" (ours)
     keypoints: int = 64  # maps of the spatial softmax (notes)
     image_feature: int = 64  # released code
-    subgoal_dim: int = 32  # notes
+    subgoal_space: str = (
+        "image"  # every skill encodes the goal's image (paper), or "latent": the goal frame's latent in
+    )
+    # the representation that the skills were found with, which is the same for all skills and does not move (ours)
+    subgoal_dim: int = 32  # notes; with "latent" the representation says
     subgoal_noise: float = 0.1  # standard deviation, training only (notes)
     imagined_subgoals: float = 0.0  # share of training frames whose skills get imagined subgoals (ours)
     head_widths: list[int] = field(default_factory=lambda: [300, 400])  # notes; multi-task: 300, 300, 400
+    heads: str = "separate"  # (paper) or "residual": what a skill adds to a flat head, at first nothing (ours)
     shared_trunk: bool = False  # one convolutional trunk for all skills (ours; paper: nothing shared)
-    chunk_size: int = 1  # actions a skill predicts at once (paper: 1); overlapping ones are averaged
-    ensemble_decay: float = 0.01  # weight exp(-decay i) of the i-th oldest prediction (ACT)
-    termination: bool = False  # skills also tell when they end, and are not left before (ours)
+    chunk_size: int = 1  # actions a skill predicts at once (paper: 1)
+    n_action_steps: int = 1  # of them are carried out before it looks again, or fewer where a decision falls due
     compile_model: bool = False  # torch.compile for the encoders
 
     # Meta controller
     meta_controllers: str = "per_task"  # one for each task (paper), or one that is "conditioned" on the task (ours)
-    meta_cameras: str = "workspace"  # (paper) or "all"
+    meta_trunk: str = "own"  # (paper), or "skills": on top of their shared trunk, which it does not train (ours)
+    meta_cameras: str = "workspace"  # (paper) or "all"; with the skills' trunk all
+    meta_proprioception: bool = True  # sees what the skills feel (ours; paper: images alone)
+    skill_memory: bool = True  # knows the skill in force, since when, and those run before (ours; paper: not)
+    memory_dropout: float = 0.3  # share of training frames at which it does not, lest it copies the past (ours)
     decoder_sees_skill: bool = True  # the subgoal is imagined for the skill that was picked (ours; released: not)
     drawn_subgoals: bool = False  # latent drawn afresh at every decision (released code); else its mean, 0 (ours)
-    switch_margin: float = 0.0  # by how much another skill must be more probable to be switched to (ours)
     meta_period_s: float = 0.25  # 4 Hz (paper)
     meta_latent: int = 64  # released code
     meta_encoder_widths: list[int] = field(default_factory=lambda: [256, 256])  # released code
@@ -110,8 +120,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     kl_weight: float = 0.02  # per sample: 2 subgoal_noise^2, see docs/policy.md (ours; released: 1e-4)
 
     # Training
-    schedule: str = "joint"  # skills and meta controller together (ours), or "sequential": the skills first (paper)
-    skill_steps: int | None = None  # steps of "sequential" that the skills get; the meta controller gets the rest
+    boundary_overlap_s: float = 0.5  # how far skills also learn the frames beside their segments (ours; paper: 0)
     balance_skills: bool = False  # every skill weighs the same, however many frames it has (ours)
     optimizer_lr: float = 1e-4  # Adam (notes)
     optimizer_grad_clip_norm: float = 10.0  # LeRobot's default
@@ -120,6 +129,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     # Filled from the dataset
     n_skills: int | None = None
     segmentation: str | None = None  # hash of the labels: under another segmentation skill ids mean something else
+    representation: str | None = None  # hash of the one that latent subgoals are of
     fps: float | None = None
     render_profile: str | None = None  # how a simulator drew the demonstrations; None where that is not recorded
     tasks: list[str] = field(default_factory=list)
@@ -138,10 +148,10 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
                 f"{near_names(str(self.action_scaling), ACTION_SCALINGS)}"
             )
         counts = ("image_size", "n_skills", "keypoints", "image_feature", "subgoal_dim", "meta_latent")
-        for name in (*counts, "chunk_size", "skill_steps"):
+        for name in (*counts, "chunk_size", "n_action_steps"):
             if (value := getattr(self, name)) is not None and value < 1:
                 raise ConfigError(f"{name}={value} must be at least 1.")
-        for name in ("crop_padding", "subgoal_noise", "kl_weight", "switch_margin", "ensemble_decay"):
+        for name in ("crop_padding", "subgoal_noise", "kl_weight", "boundary_overlap_s"):
             if (value := getattr(self, name)) < 0:
                 raise ConfigError(f"{name}={value} must not be negative.")
         for name in ("gripper_history_s", "subgoal_horizon_s", "meta_period_s", "optimizer_lr", "fps"):
@@ -149,12 +159,15 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
                 raise ConfigError(f"{name}={value} must be positive.")
         if not self.conv_channels:
             raise ConfigError("conv_channels is empty: the encoder needs at least one stage.")
-        if self.schedule == "sequential" and self.skill_steps is None:
-            raise ConfigError("schedule='sequential' needs skill_steps: how many of the steps are for the skills.")
-        if not 0 <= self.imagined_subgoals <= 1:
-            raise ConfigError(f"imagined_subgoals={self.imagined_subgoals} is a share: between 0 and 1.")
-        if self.imagined_subgoals and self.schedule == "sequential":
-            raise ConfigError("schedule='sequential' trains skills before anything is imagined: imagined_subgoals=0.")
+        for name in ("imagined_subgoals", "memory_dropout"):
+            if not 0 <= (value := getattr(self, name)) <= 1:
+                raise ConfigError(f"{name}={value} is a share: between 0 and 1.")
+        if self.n_action_steps > self.chunk_size:
+            raise ConfigError(f"n_action_steps={self.n_action_steps} is more than chunk_size={self.chunk_size} has.")
+        if self.subgoal_space == "latent" and self.skills == "single":
+            raise ConfigError("subgoal_space='latent' takes a segmented dataset's representation; 'single' has none.")
+        if self.meta_trunk == "skills" and not self.shared_trunk:
+            raise ConfigError("meta_trunk='skills' needs shared_trunk: without it every skill has one of its own.")
         if self.skills == "flat" and self.skills_path is not None:
             raise ConfigError("skills='flat' has no meta controller to train on the skills of skills_path.")
 
@@ -188,6 +201,11 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         return frames_of_seconds(self.meta_period_s, self.fps or PAPER_FPS)
 
     @property
+    def boundary_overlap(self) -> int:
+        """Frames beside a segment that its skill learns as well."""
+        return frames_of_seconds(self.boundary_overlap_s, self.fps or PAPER_FPS) if self.boundary_overlap_s else 0
+
+    @property
     def subgoal_horizon(self) -> int:
         """Frames to the subgoal, with "single" skills."""
         return frames_of_seconds(self.subgoal_horizon_s, self.fps or PAPER_FPS)
@@ -196,6 +214,11 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     def has_subgoals(self) -> bool:
         """Whether there are subgoals, hence a meta controller that picks them."""
         return self.skills != "flat"
+
+    @property
+    def task_count(self) -> int:
+        """Tasks that networks are told apart by; 0 where there is nothing to tell."""
+        return len(self.tasks) if len(self.tasks) > 1 else 0
 
     @property
     def meta_channels(self) -> int:
@@ -208,7 +231,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         """Dimensions of a skill's proprioception: the current state and the gripper history."""
         return len(self.current_dims or []) + len(self.history_dims or []) * self.history_frames
 
-    def settle_image_size(self) -> None:
+    def limit_image_size(self) -> None:
         """Scales larger images down to the paper's size where nothing is said: trained as stored they cost 19 times."""
         smallest = min((min(f.shape[1:]) for f in self.image_features.values() if len(f.shape) == 3), default=0)
         if self.image_size is None and smallest > PAPER_PIXELS:
@@ -216,7 +239,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
             logger.info("Images of %d pixels and more are scaled to %d (image_size).", smallest, PAPER_PIXELS)
 
     def validate_features(self) -> None:
-        """Checks that inputs and outputs fit the networks, leaves out what is not used, and settles the cameras.
+        """Checks that inputs and outputs fit the networks, leaves out what is not used, and names the cameras.
 
         Raises:
             ConfigError: No camera, cameras that cannot be stacked, a state or an action that is no vector.
@@ -270,12 +293,9 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         """Adam without weight decay (paper's notes)."""
         return AdamConfig(lr=self.optimizer_lr, weight_decay=0.0, grad_clip_norm=self.optimizer_grad_clip_norm)
 
-    def get_scheduler_preset(self) -> CosineAnnealingWithWarmupSchedulerConfig | None:
-        """Cosine decay to zero over the run (ours; the paper keeps the rate and stops after 2001 epochs).
-
-        A sequential run keeps the rate: the meta controller's turn comes when a cosine would be low.
-        """
-        return CosineAnnealingWithWarmupSchedulerConfig(num_warmup_steps=0) if self.schedule == "joint" else None
+    def get_scheduler_preset(self) -> CosineAnnealingWithWarmupSchedulerConfig:
+        """Cosine decay to zero over the run (ours; the paper keeps the rate and stops after 2001 epochs)."""
+        return CosineAnnealingWithWarmupSchedulerConfig(num_warmup_steps=0)
 
     @property
     def observation_delta_indices(self) -> None:

@@ -27,7 +27,7 @@ CLEARLY = 0.5
 """Where no camera shows the batch's pixels to the bit, the nearest must differ by less than this share of the next."""
 
 
-class GoalFrames:
+class GoalImages:
     """The frames of one camera at the size that the networks see; which camera it is, the first batch shows.
 
     Args:
@@ -43,12 +43,12 @@ class GoalFrames:
         self._stored = (height, width)
         self._frames: NDArray[np.uint8] | None = None
 
-    def recognise(self, index: Tensor, images: Tensor) -> None:
+    def recognise(self, rows: IntArray, images: Tensor) -> None:
         """Finds out which camera of the dataset a batch shows; only the first call does anything.
 
         Args:
-            index: ``(B,)`` int64 absolute frame indices.
-            images: ``(B, 3, h, w)`` in [0, 1], what the batch holds of the workspace camera, scaled or not.
+            rows: ``(B,)`` int64 absolute frame indices.
+            images: ``(B, 3, h, w)`` bytes, or floats in [0, 1]: what the batch holds of the workspace camera.
 
         Raises:
             CheckpointError: No camera of the dataset shows these images.
@@ -56,8 +56,8 @@ class GoalFrames:
         """
         if self._frames is not None:
             return
-        rows = index[:COMPARED].cpu().numpy().astype(np.int64)
-        shown = scale_images(images[:COMPARED].detach().cpu(), self._size)
+        rows, shown = rows[:COMPARED], images[:COMPARED].detach().cpu()
+        shown = scale_images(as_floats(shown) if shown.dtype == torch.uint8 else shown.float(), self._size)
         errors: dict[tuple[str, str | None], float] = {}
         for camera, backend in self._candidates():
             errors[camera, backend] = self._difference(camera, backend, rows, shown)
@@ -69,11 +69,12 @@ class GoalFrames:
         dataset = LocalDataset(self._root, video_backend=backend)
         self._frames = cached_frames(dataset, camera, size=self._size)
 
-    def images(self, frames: IntArray, device: torch.device) -> Tensor:
-        """Loads images ``(B, 3, h, w)`` float32 in [0, 1] of absolute frame indices ``(B,)``, after `recognise`."""
+    def __getitem__(self, frames: IntArray) -> NDArray[np.uint8]:
+        """Loads images ``(B, 3, h, w)`` of absolute frame indices ``(B,)``, after `recognise`."""
         if self._frames is None:
             raise ValueError("the workspace camera has not been recognised yet")
-        return as_floats(torch.from_numpy(self._frames[frames]).to(device))
+        images: NDArray[np.uint8] = self._frames[frames]
+        return images
 
     def _candidates(self) -> Iterator[tuple[str, str | None]]:
         """Lists cameras and decoders, the most likely first: the camera of this name, LeRobot's default decoder."""

@@ -6,6 +6,7 @@ there are only floats of the rank that the networks expect.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -15,19 +16,34 @@ from lerobot_buds.core import ACTION, STATE, CheckpointError
 from lerobot_buds.data import scale_images
 
 from .configuration_buds import BudsConfig
-from .settling import check_observation, task_number
+from .fitting import check_observation, task_number
 
 
-def read_inputs(config: BudsConfig, batch: Mapping[str, Any]) -> tuple[Tensor, Tensor, Tensor]:
+@dataclass(frozen=True)
+class Observation:
+    """What is seen and felt.
+
+    Attributes:
+        images: ``(B, C, H, W)`` of network size, all cameras stacked, in [0, 1].
+        state: ``(B, D)`` raw state, D = 0 without one.
+        task: ``(B,)`` int64 numbers of the tasks.
+    """
+
+    images: Tensor
+    state: Tensor
+    task: Tensor
+
+    def __getitem__(self, rows: Tensor) -> "Observation":
+        """Picks some rows."""
+        return Observation(self.images[rows], self.state[rows], self.task[rows])
+
+
+def read_inputs(config: BudsConfig, batch: Mapping[str, Any]) -> Observation:
     """Checks the inputs of a batch.
 
     Args:
         config: Settled settings of the policy.
         batch: LeRobot's batch.
-
-    Returns:
-        Images ``(B, C, H, W)`` of network size, all cameras stacked, in [0, 1] (bytes are divided by 255); the state
-        ``(B, D)``, D = 0 without one; the numbers of the tasks ``(B,)`` int64.
 
     Raises:
         CheckpointError: An input is missing or has another shape than the policy was made for, or the environment is
@@ -56,7 +72,7 @@ def read_inputs(config: BudsConfig, batch: Mapping[str, Any]) -> tuple[Tensor, T
     images = images.contiguous(memory_format=torch.channels_last)  # which convolutions are faster on
     state = values[STATE] if STATE in values else images.new_zeros(len(images), 0)
     tasks = [task_number(config, task) for task in _tasks(batch, count)]
-    return images, state, torch.tensor(tasks, device=images.device)
+    return Observation(images, state, torch.tensor(tasks, device=images.device))
 
 
 def read_actions(config: BudsConfig, batch: Mapping[str, Any]) -> Tensor:

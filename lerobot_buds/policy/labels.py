@@ -1,47 +1,222 @@
-"""Looks up what LeRobot's batch does not carry: skill, goal image and gripper history of frames, by absolute index.
+"""What the dataset says about frames, by absolute index: skill, goal, gripper history, and which skills came before.
 
-LeRobot drops custom columns on the way to the policy, and always keeps ``index``. The tables are plain data of one
-process, never parameters or buffers, which would be broadcast and saved with the weights.
+LeRobot drops custom columns on the way to the policy and always keeps ``index``; `processor_buds` joins these labels to
+its batches. The tables are plain data of one process.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_buds.core import (
-    STATE,
-    DatasetError,
-    IntArray,
-    SegmentationError,
-    segments_of,
-    subgoals_of,
-)
-from lerobot_buds.data import read_table
-from lerobot_buds.segmentation import load_labels
+from lerobot_buds.core import STATE, DatasetError, IntArray, SegmentationError, segments_of, subgoals_of
+from lerobot_buds.data import LocalDataset, read_table
+from lerobot_buds.segmentation import SkillModel, load_labels
 
 from .configuration_buds import BudsConfig
-from .goals import GoalFrames
+from .goals import GoalImages
+
+PREFIX = "labels."
+"""What the names of labels in a batch begin with."""
+
+UNDECIDED = -1
+"""Stands for the skill in force before the first decision."""
 
 
 @dataclass(frozen=True)
-class Supervision:
-    """What the dataset says about the frames of a batch.
+class Labels:
+    """What the dataset says about the frames of a batch; in the batch under these names, with `PREFIX`.
+
+    Goals are ``(B, d)`` float32 latents, ``(B, 3, h, w)`` uint8 images, or ``(B, 0)`` where there are none.
 
     Attributes:
-        skill: ``(B,)`` int64 skill labels.
-        subgoal: ``(B,)`` int64 absolute indices of the subgoal frames; on the CPU.
-        ending: ``(B,)`` bool, whether the segment ends before the meta controller's next decision.
+        skill: ``(B,)`` int64 skill of the frame.
+        goal: Goal of that skill.
+        neighbour: ``(B,)`` int64 skill of the segment beside, where its edge is near; else `skill`.
+        neighbour_goal: Goal of that skill.
+        held: ``(B,)`` int64 skill that was in force one decision before, `UNDECIDED` at the start.
+        held_for: ``(B,)`` int64 for how many frames.
+        finished: ``(B, K)`` float32 how often every skill had been done before that one.
         history: ``(B, n, h)`` float32 gripper readings of the n frames before, oldest first.
+        weight: ``(B,)`` float32 weight of the skill's loss.
     """
 
     skill: Tensor
-    subgoal: Tensor
-    ending: Tensor
+    goal: Tensor
+    neighbour: Tensor
+    neighbour_goal: Tensor
+    held: Tensor
+    held_for: Tensor
+    finished: Tensor
     history: Tensor
+    weight: Tensor
+
+    def in_batch(self) -> dict[str, Tensor]:
+        """Names the labels as they stand in a batch."""
+        return {PREFIX + field.name: getattr(self, field.name) for field in fields(self)}
+
+    @classmethod
+    def of(cls, batch: Mapping[str, Any]) -> Self:
+        """Finds the labels of a batch.
+
+        Raises:
+            DatasetError: There are none.
+        """
+        try:
+            return cls(**{field.name: batch[PREFIX + field.name] for field in fields(cls)})
+        except KeyError as error:
+            raise DatasetError(
+                f"The batch lacks {error}: a loss needs a policy that was built for a dataset, and batches that its "
+                "preprocessor has seen."
+            ) from error
+
+
+class LabelTable:
+    """Labels, goals and gripper readings of all frames of one dataset.
+
+    Attributes:
+        shortest: ``(K,)`` int64 frames of every skill's shortest segment.
+        longest: ``(K,)`` int64 frames of its longest.
+
+    Args:
+        root: Folder of the dataset, segmented if the policy has skills as labelled.
+        config: A configuration that is completed.
+
+    Raises:
+        SegmentationError: The labels are missing or do not fit the dataset.
+    """
+
+    def __init__(self, root: Path, config: BudsConfig) -> None:
+        self.root, self.config = Path(root), config
+        dims = config.history_dims or []
+        table = read_table(self.root, [STATE] if dims else [])
+        self._starts, self._ends, self._present = table.starts, table.ends, table.present
+        total = len(self._present)
+        horizon = config.subgoal_horizon
+        if config.skills == "segments":
+            record, self._skill, self._goal = load_labels(self.root)
+            horizon = record.horizon
+        else:
+            self._skill = np.where(self._present, 0, -1)
+            self._goal = np.full(total, -1, dtype=np.int64)
+        n_skills = config.n_skills or 1
+        self._neighbour, self._neighbour_goal = self._skill.copy(), self._goal.copy()
+        self._held = np.full(total, UNDECIDED, dtype=np.int64)
+        self._held_for = np.zeros(total, dtype=np.int64)
+        self._finished = np.zeros((total, n_skills), dtype=np.float32)
+        self.shortest = np.full(n_skills, np.iinfo(np.int64).max)
+        self.longest = np.ones(n_skills, dtype=np.int64)
+        for start, end in zip(self._starts, self._ends, strict=True):
+            self._label_episode(slice(int(start), int(end)), horizon)
+        counts = np.bincount(self._skill[self._present], minlength=n_skills)
+        balanced = counts.sum() / (n_skills * np.maximum(counts, 1))
+        self._weight = (balanced if config.balance_skills else np.ones(n_skills)).astype(np.float32)
+        state = table.columns[STATE].reshape(total, -1) if dims else np.empty((total, 0))
+        self._readings = state[:, dims].astype(np.float32)
+
+    def _label_episode(self, rows: slice, horizon: int) -> None:
+        """Fills in what follows from the skills of one episode."""
+        config, labels, first = self.config, self._skill[rows], rows.start
+        if len(labels) == 0 or labels[0] < 0:
+            return  # not on this machine
+        if config.skills != "segments":
+            self._goal[rows] = self._neighbour_goal[rows] = first + subgoals_of(labels, horizon)
+        segments = segments_of(labels)
+        finished = np.zeros_like(self._finished[0])
+        for number, (start, end, skill) in enumerate(segments):
+            self.shortest[skill] = min(self.shortest[skill], end - start)
+            self.longest[skill] = max(self.longest[skill], end - start)
+            edge = min(config.boundary_overlap, (end - start) // 2)
+            if number > 0:  # the skill before comes late: it is at its goal
+                late = np.arange(first + start, first + start + edge)
+                self._neighbour[late], self._neighbour_goal[late] = segments[number - 1].label, late
+            if number + 1 < len(segments):  # the skill after comes early
+                early = np.arange(first + end - edge, first + end)
+                last = min(segments[number + 1].end, len(labels) - 1)
+                self._neighbour[early] = segments[number + 1].label
+                self._neighbour_goal[early] = np.minimum(early + horizon, first + last)
+            decided = np.arange(start + config.meta_period, min(end + config.meta_period, len(labels)))
+            self._held[first + decided], self._held_for[first + decided] = skill, decided - start
+            self._finished[first + decided] = finished
+            finished[skill] += 1
+
+    @cached_property
+    def latents(self) -> NDArray[np.float32]:
+        """``(N, d)`` latent of every frame in the representation that the skills were found with; NaN if not here."""
+        from lerobot_buds.representation import encode_dataset
+
+        whole = [e for e, start in enumerate(self._starts) if self._present[start]]
+        dataset = LocalDataset(self.root, chosen=tuple(whole))
+        parts = encode_dataset(dataset, SkillModel.from_pretrained(self.root).representation)
+        latents = np.full((len(self._present), parts[0].shape[1]), np.nan, dtype=np.float32)
+        for e, part in zip(whole, parts, strict=True):
+            latents[self._starts[e] : self._ends[e]] = part
+        return latents
+
+    @cached_property
+    def goal_images(self) -> GoalImages:
+        """Images of the workspace camera."""
+        return GoalImages(self.root, self.config, self._starts)
+
+    def lookup(self, index: Tensor, images: Mapping[str, Tensor]) -> Labels:
+        """Collects the labels of a batch.
+
+        Args:
+            index: ``(B,)`` int64 absolute frame indices.
+            images: The batch's cameras, by the names of the configuration.
+
+        Returns:
+            Tensors on the CPU.
+
+        Raises:
+            CheckpointError: No camera of the dataset shows these images.
+            DatasetError: An index is outside the dataset.
+            SegmentationError: A frame has no label, or its goal frame is not there.
+        """
+        rows = index.detach().cpu().numpy().astype(np.int64).reshape(-1)
+        total = len(self._skill)
+        if len(rows) and (rows.min() < 0 or rows.max() >= total):
+            raise DatasetError(f"{self.root}: the batch holds frame {rows.max()}, the dataset has {total} frames.")
+        goals, neighbour_goals = self._goal[rows], self._neighbour_goal[rows]
+        bad = (self._skill[rows] < 0) | self._is_absent(goals) | self._is_absent(neighbour_goals)
+        if bad.any():
+            raise SegmentationError(
+                f"{self.root}: frame {rows[bad][0]} has no skill label or its subgoal frame is not on this machine. "
+                "Download the whole dataset, or run lerobot-buds-segment again."
+            )
+        if self.config.has_subgoals and self.config.subgoal_space == "image":
+            self.goal_images.recognise(rows, images[self.config.stacked_cameras[0]])
+        starts = self._starts[np.searchsorted(self._ends, rows, side="right")]
+        skill = self._skill[rows]
+        return Labels(
+            skill=torch.from_numpy(skill),
+            goal=self._goals(goals),
+            neighbour=torch.from_numpy(self._neighbour[rows]),
+            neighbour_goal=self._goals(neighbour_goals),
+            held=torch.from_numpy(self._held[rows]),
+            held_for=torch.from_numpy(self._held_for[rows]),
+            finished=torch.from_numpy(self._finished[rows]),
+            history=torch.from_numpy(self._readings[history_rows(rows, starts, self.config.history_frames)]),
+            weight=torch.from_numpy(self._weight[skill]),
+        )
+
+    def _goals(self, frames: IntArray) -> Tensor:
+        if not self.config.has_subgoals:
+            return torch.empty(len(frames), 0)
+        if self.config.subgoal_space == "latent":
+            return torch.from_numpy(self.latents[frames])
+        return torch.from_numpy(self.goal_images[frames])
+
+    def _is_absent(self, frames: IntArray) -> NDArray[np.bool_]:
+        outside = (frames < 0) | (frames >= len(self._present))
+        absent: NDArray[np.bool_] = outside | ~self._present[np.where(outside, 0, frames)]
+        return absent
 
 
 def history_rows(index: IntArray, starts: IntArray, frames: int) -> IntArray:
@@ -57,93 +232,3 @@ def history_rows(index: IntArray, starts: IntArray, frames: int) -> IntArray:
     """
     rows: IntArray = np.maximum(index[:, None] - np.arange(frames, 0, -1), starts[:, None])
     return rows
-
-
-class LabelTable:
-    """Labels, goal frames and gripper readings of one dataset.
-
-    Attributes:
-        skill: ``(N,)`` int64 skill of every frame, -1 for frames that are not on this machine.
-        goals: Goal images; None for a policy without subgoals.
-        weights: ``(K,)`` float64 weights by which every skill counts the same, 1 for all if they have as many frames.
-
-    Args:
-        root: Folder of the dataset, segmented if the policy has skills as labelled.
-        config: A configuration whose features and dimensions are settled.
-
-    Raises:
-        SegmentationError: The labels are missing or do not fit the dataset.
-    """
-
-    def __init__(self, root: Path, config: BudsConfig) -> None:
-        self.root = Path(root)
-        dims = config.history_dims or []
-        table = read_table(self.root, [STATE] if dims else [])
-        self.starts, self.ends, self.present = table.starts, table.ends, table.present
-        total = len(self.present)
-        if config.skills == "segments":
-            _, self.skill, self.subgoal = load_labels(self.root)
-        else:
-            self.skill = np.where(self.present, 0, -1)
-            self.subgoal = _ahead(table.starts, table.ends, total, config.subgoal_horizon)
-        counts = np.bincount(self.skill[self.present], minlength=config.n_skills or 1)
-        self.weights = torch.from_numpy(counts.sum() / (len(counts) * np.maximum(counts, 1)))
-        self.ending = _ending(self.skill, table.starts, table.ends, config.meta_period)
-        self.history_frames = config.history_frames
-        state = table.columns[STATE].reshape(total, -1) if dims else np.empty((total, 0))
-        self.history = state[:, dims].astype(np.float32)
-        self.goals = GoalFrames(self.root, config, table.starts) if config.has_subgoals else None
-
-    def lookup(self, index: Tensor) -> Supervision:
-        """Collects the supervision of a batch.
-
-        Args:
-            index: ``(B,)`` int64 absolute frame indices.
-
-        Returns:
-            Tensors on the device of `index`.
-
-        Raises:
-            DatasetError: An index is outside the dataset.
-            SegmentationError: A frame has no label, or its subgoal frame is not there.
-        """
-        rows = index.detach().cpu().numpy().astype(np.int64).reshape(-1)
-        total = len(self.skill)
-        if len(rows) and (rows.min() < 0 or rows.max() >= total):
-            raise DatasetError(f"{self.root}: the batch holds frame {rows.max()}, the dataset has {total} frames.")
-        goals = self.subgoal[rows]
-        bad = (self.skill[rows] < 0) | (goals < 0) | (goals >= total)
-        bad |= ~self.present[np.where(bad, 0, goals)]
-        if bad.any():
-            frame = int(rows[bad][0])
-            raise SegmentationError(
-                f"{self.root}: frame {frame} has no skill label or its subgoal frame is not on this machine. Download "
-                "the whole dataset, or run lerobot-buds-segment again."
-            )
-        starts = self.starts[np.searchsorted(self.ends, rows, side="right")]
-        history = self.history[history_rows(rows, starts, self.history_frames)]
-        device = index.device
-        return Supervision(
-            skill=torch.from_numpy(self.skill[rows]).to(device),
-            subgoal=torch.from_numpy(goals),
-            ending=torch.from_numpy(self.ending[rows]).to(device),
-            history=torch.from_numpy(history).to(device),
-        )
-
-
-def _ahead(starts: IntArray, ends: IntArray, total: int, horizon: int) -> IntArray:
-    """Takes whole demonstrations for segments: absolute subgoal of every frame, -1 outside all of them."""
-    subgoal = np.full(total, -1, dtype=np.int64)
-    for start, end in zip(starts, ends, strict=True):
-        subgoal[start:end] = start + subgoals_of(np.zeros(end - start, dtype=np.int64), horizon)
-    return subgoal
-
-
-def _ending(skill: IntArray, starts: IntArray, ends: IntArray, period: int) -> NDArray[np.bool_]:
-    """Marks the last `period` frames of every segment."""
-    marks = np.zeros(len(skill), dtype=np.bool_)
-    for start, end in zip(starts, ends, strict=True):
-        for segment in segments_of(skill[start:end]):
-            last = int(start) + segment.end
-            marks[max(int(start) + segment.start, last - period) : last] = True
-    return marks

@@ -1,40 +1,26 @@
-"""Policy type ``buds``: K skills and meta controllers, trained in one run and rolled out at two rates."""
+"""Policy type ``buds``: the model as LeRobot trains and runs it."""
 
 import threading
-from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, Self
 
 import torch
-import torch.nn.functional as F
 from lerobot.policies import PreTrainedPolicy
-from torch import Tensor, nn
+from torch import Tensor
 
-from lerobot_buds.core import DatasetError
-
-from .actions import ActionCoding, ActionRange, keep_older_actions, settle_actions
 from .configuration_buds import BudsConfig
-from .images import lay_out, random_shift
-from .inputs import read_actions, read_inputs
-from .labels import LabelTable, Supervision
-from .meta_controller import MetaControllers, MetaLosses
-from .proprioception import Proprioception
-from .reuse import TrainedSkills
-from .rollout import Rollout, choose_skills
-from .settling import settle_on_dataset, settle_without_dataset
-from .skills import SkillLibrary
-from .targets import TargetTable
-
-Override = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
+from .fitting import complete
+from .inputs import Observation, read_actions, read_inputs
+from .labels import Labels, LabelTable
+from .library import TrainedSkills
+from .model import BudsModel
+from .networks import compile_encoders, lay_out
+from .processor_buds import offer_labels
+from .rollout import Override, Rollout
 
 
 class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
-    """Skills that pursue subgoals, and the meta controllers that pick skill and subgoal (paper).
-
-    The released code trains skills first and the meta controller on the finished subgoal encoders; one run with
-    ``schedule="sequential"`` does the same. With ``"joint"`` the meta controller's targets are the encoders' current
-    outputs, without gradient, so that it follows them.
+    """`BudsModel` as LeRobot trains and runs it.
 
     Args:
         config: The configuration; fields it leaves open are filled in place.
@@ -51,7 +37,6 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
 
     config_class = BudsConfig
     name = "buds"
-    trained_steps: Tensor
 
     def __init__(
         self,
@@ -63,38 +48,18 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
     ) -> None:
         super().__init__(config)
         self.config: BudsConfig = config
-        taken = None
-        if config.skills_path is not None and not from_checkpoint:
-            taken = TrainedSkills.read(config.skills_path)
-            taken.adopt(config)
-        if not from_checkpoint:
-            config.settle_image_size()
-        config.validate_features()
-        if dataset_meta is None:
-            settle_without_dataset(config)
-        else:
-            settle_on_dataset(config, dataset_meta, may_be_renamed=from_checkpoint)
-        self._dataset_root = Path(dataset_meta.root) if dataset_meta is not None else None
-        brings_bounds = from_checkpoint or taken is not None
-        found = None
-        if self._dataset_root is None or brings_bounds:
-            keep_older_actions(config)
-        else:
-            found = ActionRange.read(self._dataset_root)
-            settle_actions(config, found)
-        self.actions = ActionCoding(config, found)
-        self.proprioception = Proprioception(config, dataset_stats)
-        self.skills = SkillLibrary(config)
-        self.meta_controllers = MetaControllers(config) if config.has_subgoals else None
-        self.register_buffer("trained_steps", torch.zeros((), dtype=torch.int64))
-        if taken is not None:
-            taken.load_into(self)
+        library = TrainedSkills.read(config.skills_path) if config.skills_path and not from_checkpoint else None
+        self._found = complete(config, dataset_meta, library, from_checkpoint)
+        labels = LabelTable(Path(dataset_meta.root), config) if dataset_meta is not None else None
+        if labels is not None:
+            offer_labels(labels)
+        self.model = BudsModel(config, *(None,) * 3 if from_checkpoint else (self._found, dataset_stats, labels))
+        if library is not None:
+            library.load_into(self.model)
             self._warn_of_unreachable_actions()
-        self.skills.requires_grad_(config.skills_path is None)
+        self.model.skills.requires_grad_(config.skills_path is None)
         if config.compile_model:
-            self._compile_encoders()
-        self._labels: LabelTable | None = None
-        self._targets: TargetTable | None = None
+            compile_encoders(self.model)
         self._rollouts: dict[int, Rollout] = {}
         self._laid_out_for_acting = False
 
@@ -106,136 +71,48 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return policy
 
     def _warn_of_unreachable_actions(self) -> None:
-        if self._dataset_root is not None:
-            self.actions.warn_of_unreachable(ActionRange.read(self._dataset_root))
+        if self._found is not None:
+            self.model.actions.warn_of_unreachable(self._found)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Returns one named parameter group for what is trained of skills and meta controllers each."""
-        parts: dict[str, nn.Module | None] = {"skills": self.skills, "meta_controllers": self.meta_controllers}
+        parts = {"skills": self.model.skills, "meta_controllers": self.model.meta_controllers}
         trained = {
             name: [p for p in part.parameters() if p.requires_grad] for name, part in parts.items() if part is not None
         }
         return [{"name": name, "params": params} for name, params in trained.items() if params]
 
     def train(self, mode: bool = True) -> Self:
-        """Switches to training, in which skills that are not trained now keep their batch statistics."""
+        """Switches to training, in which frozen skills keep their batch statistics."""
         super().train(mode)
         if mode:
             self._lay_out_for_acting(False)
-        if mode and not self._learns_skills:
-            self.skills.eval()
+        if mode and self.config.skills_path is not None:
+            self.model.skills.eval()
         return self
-
-    def update(self) -> None:
-        """Counts a training step; LeRobot calls it after each."""
-        self.trained_steps += 1
 
     def forward(self, batch: dict[str, Any], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
         """Computes the training loss; every term is a mean over the batch, so the batch size does not weigh them.
 
         Args:
-            batch: LeRobot's batch: the inputs, ``action`` ``(B, A)`` or ``(B, n, A)``, and ``index`` ``(B,)``, the
-                absolute frames.
+            batch: LeRobot's batch with `Labels`: the inputs, and ``action`` ``(B, A)`` or ``(B, n, A)``.
             reduction: ``"mean"``, or ``"none"`` for the loss of every sample, as LeRobot's weighting asks for.
 
         Returns:
-            The loss (scalar, or ``(B,)``), and its terms, the accuracy of the skill ids and the error of the actions in
-            the dataset's unit, the same keys at every step; parts that are not trained now count as 0.
+            The loss (scalar, or ``(B,)``), and the means of all terms of `BudsModel.forward`, the same at every step.
 
         Raises:
             CheckpointError: An input is missing or has another shape than the policy was made for.
             ConfigError: A task is unknown.
+            DatasetError: The labels are missing.
         """
-        images, state, task = self._inputs(batch)
-        labels = self._label_table().lookup(batch["index"])
-        if (goals := self._label_table().goals) is not None:
-            goals.recognise(batch["index"], self._seen_by_meta(images)[:, :3])
-        if self.training:
-            images = random_shift(images, self.config.crop_padding)
-        subgoal = target = imagined = images.new_zeros(len(images), 0)
-        loss = torch.zeros(len(images), device=images.device)
-        terms = dict.fromkeys(self._terms(), loss)
-        learns_skills = self._learns_skills or not self.training
-        if learns_skills and self.meta_controllers is not None:
-            subgoal, target = self._encoded_goals(labels)
-        if self.meta_controllers is not None and (self._learns_meta or not self.training):
-            if not target.shape[1]:
-                target = self._kept_targets(batch["index"], labels)
-            meta, imagined = self.meta_controllers.losses(self._seen_by_meta(images), task, labels.skill, target)
-            terms |= vars(meta)
-            loss = loss + meta.skill_id_loss + meta.subgoal_loss + self.config.kl_weight * meta.kl_loss
-        if learns_skills:
-            if self.training:
-                subgoal = self._as_in_rollouts(subgoal, imagined)
-            terms |= self._skill_terms(batch, labels, images, state, subgoal)
-            loss = loss + sum(terms[name] for name in ("skill_loss", "termination_loss") if name in terms)
+        observation = read_inputs(self.config, batch)
+        actions = read_actions(self.config, batch)
+        terms = self.model(observation, Labels.of(batch), actions, batch.get("action_is_pad"))
+        weights = {"skill_loss": 1.0, "skill_id_loss": 1.0, "subgoal_loss": 1.0, "kl_loss": self.config.kl_weight}
+        loss = torch.stack([weights[name] * term for name, term in terms.items() if name in weights]).sum(dim=0)
         means = torch.stack([term.detach().float().mean() for term in terms.values()]).tolist()
         return loss if reduction == "none" else loss.mean(), dict(zip(terms, means, strict=True))
-
-    def _terms(self) -> list[str]:
-        skills = ["skill_loss", "action_error", *(["termination_loss"] if self.config.termination else [])]
-        meta = [field.name for field in fields(MetaLosses)]
-        return skills + meta if self.meta_controllers is not None else skills
-
-    def _skill_terms(
-        self, batch: dict[str, Any], labels: Supervision, images: Tensor, state: Tensor, subgoal: Tensor
-    ) -> dict[str, Tensor]:
-        """Computes the skills' terms of the loss, ``(B,)`` each."""
-        proprio = self.proprioception(state, labels.history)
-        output, ending = self.skills(labels.skill, images, subgoal, proprio)
-        wanted = read_actions(self.config, batch)
-        errors = self.actions.errors(output, wanted)  # (B, n)
-        padded = batch.get("action_is_pad")
-        inside = torch.ones_like(errors) if padded is None else (~padded).to(errors)
-        weight = self._label_table().weights.to(errors)[labels.skill] if self.config.balance_skills else 1.0
-        misses = self.actions.misses(output, wanted)
-        terms = {
-            "skill_loss": weight * (errors * inside).sum(dim=1) / inside.sum(dim=1),
-            "action_error": (misses * inside).sum(dim=1) / inside.sum(dim=1),
-        }
-        if self.config.termination:
-            losses = F.binary_cross_entropy_with_logits(ending, labels.ending.to(ending), reduction="none")
-            terms["termination_loss"] = weight * losses
-        return terms
-
-    def _as_in_rollouts(self, subgoal: Tensor, imagined: Tensor) -> Tensor:
-        """Disturbs subgoals for training: some rows get what the meta controllers imagine, all get noise."""
-        if self.config.imagined_subgoals and imagined.shape[1]:
-            replaced = torch.rand(len(subgoal), 1, device=subgoal.device) < self.config.imagined_subgoals
-            subgoal = torch.where(replaced, imagined.to(subgoal), subgoal)
-        return subgoal + self.config.subgoal_noise * torch.randn_like(subgoal)
-
-    def _encoded_goals(self, labels: Supervision) -> tuple[Tensor, Tensor]:
-        """Encodes the goals of a batch for the skills, and for the meta controllers: without batch statistics."""
-        goals = self._goal_images(labels.subgoal, labels.skill.device)
-        subgoal = self.skills.encode_subgoals(labels.skill, goals)
-        if self.training and self._learns_meta and self.skills.uses_batch_statistics:
-            return subgoal, self.skills.subgoal_targets(labels.skill, goals)
-        return subgoal, subgoal.detach()
-
-    def _kept_targets(self, index: Tensor, labels: Supervision) -> Tensor:
-        """Looks up the goals of a batch as skills that do not change encode them."""
-        if self._targets is None:
-            frames = len(self._label_table().skill)
-            self._targets = TargetTable(frames, self.config.subgoal_dim, labels.skill.device)
-
-        def compute(rows: Tensor) -> Tensor:
-            goals = self._goal_images(labels.subgoal[rows.cpu()], labels.skill.device)
-            return self.skills.subgoal_targets(labels.skill[rows], goals)
-
-        return self._targets.lookup(index, compute)
-
-    @property
-    def _learns_skills(self) -> bool:
-        if self.config.skills_path is not None:
-            return False
-        if self.config.schedule == "joint" or self.meta_controllers is None:
-            return True
-        return int(self.trained_steps) < (self.config.skill_steps or 0)
-
-    @property
-    def _learns_meta(self) -> bool:
-        return self.config.schedule == "joint" or not self._learns_skills
 
     def reset(self) -> None:
         """Forgets the calling thread's rollout; LeRobot may evaluate several tasks in threads that share the policy."""
@@ -250,10 +127,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         Args:
             batch: The inputs, and ``task`` strings where there are several tasks.
             noise: ``(B, latent)`` standard normal numbers for the subgoals that are decided now, with
-                `drawn_subgoals`; drawn from torch's default generator (CPU) where not given, and only in steps with a
-                decision.
-            override: Called at every decision with the ``(D,)`` int64 rows of the batch that decide now, their ``(D,)``
-                int64 skills and ``(D, subgoal_dim)`` subgoals; what it returns in the place of the last two is done.
+                `drawn_subgoals`; drawn from torch's default generator (CPU) where not given.
+            override: Called at every decision, see `Rollout.step`.
             kwargs: Not used.
 
         Returns:
@@ -263,58 +138,41 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             CheckpointError: An input is missing or has another shape than the policy was made for.
             ConfigError: A task is unknown.
         """
+        observation = self._observe(batch)
+        rollout = self._rollouts.get(threading.get_ident())
+        if rollout is None or len(rollout.skill) != len(observation.images):
+            rollout = Rollout.start(self.model, observation)
+            self._rollouts[threading.get_ident()] = rollout
+        return rollout.step(self.model, observation, noise, override)
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Any], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
+        """Predicts what would be done from here on if a decision fell due now; a rollout stays as it is.
+
+        Outside of a rollout the meta controller goes by what it sees and feels alone, and the gripper is taken to have
+        been as it is.
+
+        Returns:
+            ``(B, chunk_size, A)`` float32 actions, in the unit of the demonstrations. For arguments and errors see
+            `select_action`.
+        """
+        observation = self._observe(batch)
+        rollout = self._rollouts.get(threading.get_ident())
+        if rollout is None:
+            return Rollout.start(self.model, observation).foresee(self.model, observation, noise, remembers=False)
+        return rollout.foresee(self.model, observation, noise)
+
+    def _observe(self, batch: dict[str, Any]) -> Observation:
         if self.training:
             self.eval()
         self._lay_out_for_acting(True)
-        images, state, task = self._inputs(batch)
-        reading = self.proprioception.reading(state)
-        rollout = self._rollouts.get(threading.get_ident())
-        if rollout is None or len(rollout.skill) != len(images):
-            rollout = self._start(reading)
-            self._rollouts[threading.get_ident()] = rollout
-        due = rollout.steps_left == 0
-        if self.meta_controllers is not None and due.any():
-            rows = due.nonzero()[:, 0]
-            skill, subgoal = self._decide(rollout, rows, images, task, noise)
-            if override is not None:
-                skill, subgoal = override(rows, skill, subgoal)
-            rollout.decide(due, skill, subgoal, self.config.meta_period)
-        proprio = self.proprioception(state, rollout.history)
-        output, ending = self.skills(rollout.skill, images, rollout.subgoal, proprio)
-        ended = ending > 0 if self.config.termination else torch.ones_like(due)
-        # Averaged before they are decoded: the mean of two values is none of them, the mean of their probabilities is.
-        expected = rollout.advance(reading, self.actions.expected(output), ended, self.config.ensemble_decay)
-        return self.actions.decode(expected)
+        return read_inputs(self.config, batch)
 
     def _lay_out_for_acting(self, acting: bool) -> None:
         # Not before the first action: optimisers and data parallelism take the order in which they find the weights.
         if acting != self._laid_out_for_acting:
             lay_out(self, torch.channels_last if acting else torch.contiguous_format)
             self._laid_out_for_acting = acting
-
-    def _start(self, reading: Tensor) -> Rollout:
-        config = self.config
-        chunk = config.chunk_size, int(config.action_feature.shape[0])
-        if config.has_subgoals:
-            return Rollout.start(reading, config.history_frames, config.subgoal_dim, chunk)
-        return Rollout.start(reading, config.history_frames, 0, chunk, skill=0)
-
-    def _decide(
-        self, rollout: Rollout, rows: Tensor, images: Tensor, task: Tensor, noise: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        """Asks the meta controllers of some rows for ``(D,)`` skills and ``(D, subgoal_dim)`` subgoals."""
-        assert self.meta_controllers is not None
-        if not self.config.drawn_subgoals:
-            noise = torch.zeros(len(images), self.config.meta_latent)
-        elif noise is None:
-            noise = torch.randn(len(images), self.config.meta_latent)
-        feature, logits = self.meta_controllers.propose(self._seen_by_meta(images)[rows], task[rows])
-        skill = choose_skills(logits, rollout.skill[rows], rollout.ended[rows], self.config.switch_margin)
-        return skill, self.meta_controllers.imagine(feature, task[rows], skill, noise.to(images)[rows])
-
-    def predict_action_chunk(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
-        """Runs one control step and returns its action as a chunk of length 1, ``(B, 1, A)``."""
-        return self.select_action(batch, **kwargs).unsqueeze(1)
 
     @property
     def current_skills(self) -> Tensor | None:
@@ -323,33 +181,5 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return None if rollout is None else rollout.skill
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leaves tables and rollouts out of copies: they belong to one process, and are rebuilt when needed."""
-        return {**self.__dict__, "_labels": None, "_targets": None, "_rollouts": {}}
-
-    def _label_table(self) -> LabelTable:
-        if self._labels is None:
-            if self._dataset_root is None:
-                raise DatasetError("This policy was built without a dataset: it can act, but not compute a loss.")
-            self._labels = LabelTable(self._dataset_root, self.config)
-        return self._labels
-
-    def _goal_images(self, frames: Tensor, device: torch.device) -> Tensor:
-        goals = self._label_table().goals
-        assert goals is not None  # nobody asks where there are no subgoals
-        return goals.images(frames.numpy(), device)
-
-    def _compile_encoders(self) -> None:
-        names = {"image_encoder", "subgoal_encoder", "image_trunk", "goal_trunk"}
-        encoders = [module for name, module in self.named_modules() if name.rpartition(".")[2] in names]
-        # All run the same line of code, and what is compiled too often (for gradients or not, for a single row, ...)
-        # falls back to what it was.
-        limit = torch.compiler.config.recompile_limit
-        torch.compiler.config.recompile_limit = max(limit, 4 * len(encoders))
-        for encoder in encoders:
-            encoder.compile(dynamic=True)  # a skill's share of a batch changes from step to step
-
-    def _inputs(self, batch: dict[str, Any]) -> tuple[Tensor, Tensor, Tensor]:
-        return read_inputs(self.config, batch)
-
-    def _seen_by_meta(self, images: Tensor) -> Tensor:
-        return images[:, : self.config.meta_channels]
+        """Leaves rollouts out of copies: they belong to one process."""
+        return {**self.__dict__, "_rollouts": {}}

@@ -1,116 +1,147 @@
-"""What the policy remembers between two steps of a rollout, for all environments of a batch together."""
+"""How the policy goes on from step to step, for all environments of a batch together: decisions, plans, memory."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-UNDECIDED = -1
-"""Stands for a skill before the first decision."""
+from .inputs import Observation
+from .labels import UNDECIDED
+from .model import BudsModel
+
+Override = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
+"""Decides in the place of the meta controller."""
 
 
 @dataclass
 class Rollout:
-    """Decisions in force, gripper readings and predictions so far; built anew at every reset.
+    """Decisions in force, what was done before, gripper readings and planned actions; built anew at every reset.
 
     Attributes:
         skill: ``(B,)`` int64 skill in force.
         subgoal: ``(B, d)`` subgoal in force.
         steps_left: ``(B,)`` int64 steps for which the decision still holds.
+        held_for: ``(B,)`` int64 steps for which the skill has been in force.
+        finished: ``(B, K)`` how often every skill had been done before it.
         history: ``(B, n, h)`` last n gripper readings, oldest first, without the current one.
-        plan: ``(B, m, A)`` mean of what the skill in force has predicted for the next m steps.
-        votes: ``(B, m)`` int64 number of its predictions.
-        ended: ``(B,)`` bool, whether the skill in force may be left.
+        plan: ``(B, m, A)`` the next actions, in the unit of the dataset.
+        planned: ``(B,)`` int64 how many of them are to be carried out.
     """
 
     skill: Tensor
     subgoal: Tensor
     steps_left: Tensor
+    held_for: Tensor
+    finished: Tensor
     history: Tensor
     plan: Tensor
-    votes: Tensor
-    ended: Tensor
+    planned: Tensor
 
     @classmethod
-    def start(
-        cls, reading: Tensor, history_frames: int, subgoal_dim: int, chunk: tuple[int, int], skill: int = UNDECIDED
-    ) -> "Rollout":
-        """Begins a rollout: no decision yet, and a history of copies of the first reading (released code).
-
-        Args:
-            reading: ``(B, h)`` first gripper reading.
-            history_frames: Length n of the history (frames).
-            subgoal_dim: Width d of subgoals.
-            chunk: Actions m that a skill predicts at once, and dimensions A of an action.
-            skill: The skill in force before any decision.
-        """
-        batch, device = reading.shape[0], reading.device
+    def start(cls, model: BudsModel, observation: Observation) -> "Rollout":
+        """Begins a rollout: no decision yet, and a history of copies of the first reading (released code)."""
+        config, reading = model.config, model.proprioception.reading(observation.state)
+        batch, device = len(reading), reading.device
+        none = torch.zeros(batch, dtype=torch.int64, device=device)
         return cls(
-            skill=torch.full((batch,), skill, dtype=torch.int64, device=device),
-            subgoal=torch.zeros(batch, subgoal_dim, device=device),
-            steps_left=torch.zeros(batch, dtype=torch.int64, device=device),
-            history=reading[:, None].repeat(1, history_frames, 1),
-            plan=torch.zeros(batch, *chunk, device=device),
-            votes=torch.zeros(batch, chunk[0], dtype=torch.int64, device=device),
-            ended=torch.ones(batch, dtype=torch.bool, device=device),
+            skill=none + UNDECIDED if config.has_subgoals else none,
+            subgoal=torch.zeros(batch, model.skills.subgoal_dim, device=device),
+            steps_left=none,
+            held_for=none,
+            finished=torch.zeros(batch, config.n_skills or 1, device=device),
+            history=reading[:, None].repeat(1, config.history_frames, 1),
+            plan=torch.zeros(batch, config.chunk_size, int(config.action_feature.shape[0]), device=device),
+            planned=none,
         )
 
-    def decide(self, due: Tensor, skill: Tensor, subgoal: Tensor, period: int) -> None:
-        """Puts new decisions into force; predictions of a skill that is left are forgotten.
+    def step(
+        self, model: BudsModel, observation: Observation, noise: Tensor | None = None, override: Override | None = None
+    ) -> Tensor:
+        """Runs one control step: decides and plans where that is due, and takes the next action of every plan.
 
         Args:
-            due: ``(B,)`` bool, the environments that decide now.
-            skill: ``(D,)`` int64 skills, one per environment that decides.
-            subgoal: ``(D, d)`` their subgoals.
-            period: Steps for which they hold.
-        """
-        # Not in place: a rollout may be carried in and out of torch's inference mode.
-        before = self.skill
-        self.skill = self.skill.masked_scatter(due, skill)
-        self.subgoal = self.subgoal.masked_scatter(due[:, None], subgoal.to(self.subgoal.dtype))
-        self.steps_left = self.steps_left.masked_fill(due, period)
-        self.votes = self.votes.masked_fill((self.skill != before)[:, None], 0)
-
-    def advance(self, reading: Tensor, actions: Tensor, ended: Tensor, decay: float) -> Tensor:
-        """Ends a step: averages overlapping predictions, takes the present action, and counts down.
-
-        Args:
-            reading: ``(B, h)`` current gripper reading; the oldest one is dropped for it.
-            actions: ``(B, m, A)`` what the skill in force predicts now.
-            ended: ``(B,)`` bool, whether it may be left.
-            decay: The i-th oldest prediction for a step weighs ``exp(-decay i)`` (Zhao et al. 2023, ACT).
+            model: The model.
+            observation: What is seen and felt now.
+            noise: ``(B, latent)`` for the subgoals; see `BudsPolicy.select_action`.
+            override: Called at every decision with the ``(D,)`` int64 rows of the batch that decide now, their ``(D,)``
+                int64 skills and ``(D, d)`` subgoals; what it returns in the place of the last two is done.
 
         Returns:
-            ``(B, A)`` actions of this step.
+            ``(B, A)`` actions, in the unit of the dataset.
         """
-        weights = torch.exp(-decay * torch.arange(actions.shape[1] + 1, device=actions.device))
-        new = weights[self.votes]
-        old = (weights.cumsum(0) - weights)[self.votes]
-        share = (new / (new + old))[..., None]
-        plan = torch.lerp(self.plan, actions.to(self.plan.dtype), share)
-        self.plan = torch.cat([plan[:, 1:], torch.zeros_like(plan[:, :1])], dim=1)
-        self.votes = torch.cat([self.votes[:, 1:] + 1, torch.zeros_like(self.votes[:, :1])], dim=1)
+        due = (self.steps_left == 0) if model.config.has_subgoals else torch.zeros_like(self.planned, dtype=torch.bool)
+        rows = (due | (self.planned == 0)).nonzero()[:, 0]
+        if len(rows):
+            observed, due = observation[rows], due[rows]
+            maps, proprio = model.encode(observed, self.history[rows])
+            if due.any():
+                decided = self._decide(model, observed[due], (maps[due], proprio[due]), rows[due], noise)
+                if override is not None:
+                    decided = override(rows[due], *decided)
+                self._hold(model, rows[due], *decided)
+            actions = model.act(observed, maps, proprio, self.skill[rows], self.subgoal[rows])
+            self.plan = self.plan.index_copy(0, rows, actions.to(self.plan.dtype))
+            self.planned = self.planned.index_fill(0, rows, model.config.n_action_steps)
+        return self._advance(model.proprioception.reading(observation.state))
+
+    def foresee(
+        self, model: BudsModel, observation: Observation, noise: Tensor | None = None, remembers: bool = True
+    ) -> Tensor:
+        """Computes what would be done if all decided now, ``(B, n, A)``, and changes nothing.
+
+        Args:
+            model: The model.
+            observation: What is seen and felt now.
+            noise: As for `step`.
+            remembers: The memory counts.
+        """
+        rows = torch.arange(len(self.skill), device=self.skill.device)
+        maps, proprio = model.encode(observation, self.history)
+        skill, subgoal = self.skill, self.subgoal
+        if model.config.has_subgoals:
+            skill, subgoal = self._decide(model, observation, (maps, proprio), rows, noise, remembers)
+        return model.act(observation, maps, proprio, skill, subgoal)
+
+    def _decide(
+        self,
+        model: BudsModel,
+        observation: Observation,
+        encoded: tuple[Tensor, Tensor],
+        rows: Tensor,
+        noise: Tensor | None,
+        remembers: bool = True,
+    ) -> tuple[Tensor, Tensor]:
+        """Asks the meta controllers of some rows for ``(D,)`` skills and ``(D, d)`` subgoals."""
+        size = len(self.skill), model.config.meta_latent
+        if not model.config.drawn_subgoals:
+            noise = torch.zeros(size)
+        elif noise is None:
+            noise = torch.randn(size)
+        memory = self.skill[rows], self.held_for[rows], self.finished[rows]
+        situation = model.situation(observation, *encoded, *memory)
+        if not remembers:
+            situation = replace(situation, remembers=torch.zeros_like(situation.remembers))
+        return model.decide(situation, noise.to(observation.images)[rows])
+
+    def _hold(self, model: BudsModel, rows: Tensor, skill: Tensor, subgoal: Tensor) -> None:
+        """Puts new decisions of some rows into force, and remembers what was done until now."""
+        before = self.skill[rows]
+        done = (skill != before) & model.memory.counts(before, self.held_for[rows])
+        finished = self.finished[rows].scatter_add(1, before.clamp(min=0)[:, None], done[:, None].to(self.finished))
+        # Not in place: a rollout may be carried in and out of torch's inference mode.
+        self.finished = self.finished.index_copy(0, rows, finished)
+        self.held_for = self.held_for.index_copy(0, rows, self.held_for[rows] * (skill == before))
+        self.skill = self.skill.index_copy(0, rows, skill)
+        self.subgoal = self.subgoal.index_copy(0, rows, subgoal.to(self.subgoal.dtype))
+        self.steps_left = self.steps_left.index_fill(0, rows, model.config.meta_period)
+
+    def _advance(self, reading: Tensor) -> Tensor:
+        """Ends a step with a ``(B, h)`` gripper reading, and returns its ``(B, A)`` actions."""
+        action = self.plan[:, 0]
+        self.plan = self.plan.roll(-1, dims=1)
+        self.planned = self.planned - 1
         self.history = torch.cat([self.history[:, 1:], reading[:, None]], dim=1)
         self.steps_left = self.steps_left - 1
-        self.ended = ended
-        return plan[:, 0]
-
-
-def choose_skills(logits: Tensor, held: Tensor, ended: Tensor, margin: float) -> Tensor:
-    """Picks the most probable skill, but keeps the one in force unless there is reason to leave it.
-
-    Args:
-        logits: ``(D, K)`` ratings.
-        held: ``(D,)`` int64 skills in force, or `UNDECIDED`.
-        ended: ``(D,)`` bool, whether they may be left.
-        margin: By how much another skill must be more probable.
-
-    Returns:
-        ``(D,)`` int64 skills.
-    """
-    probability = logits.softmax(dim=1)
-    best = probability.argmax(dim=1)
-    present = held.clamp(min=0)
-    gain = (probability.gather(1, best[:, None]) - probability.gather(1, present[:, None]))[:, 0]
-    keep = (held != UNDECIDED) & (~ended | (gain < margin))
-    return torch.where(keep, present, best)
+        self.held_for = self.held_for + 1
+        return action

@@ -101,6 +101,12 @@ class Representation:
         """How many of the latents' last dimensions are proprioception that stands beside what is fused."""
         return len(self.modalities.state_dims) if self.config.proprioception_weight else 0
 
+    @property
+    def width(self) -> int:
+        """Dimensions of a latent."""
+        parts = 1 if self.config.backbone is None else len(self.modalities.cameras)
+        return parts * self.config.latent_dim + self.dims_beside
+
     @cached_property
     def hash(self) -> str:
         """Content hash of the weights and of what they are applied to; names caches of latents."""

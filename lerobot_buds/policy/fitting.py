@@ -1,4 +1,4 @@
-"""Settles a configuration on the dataset the policy is built for, and refuses what does not fit together."""
+"""Fits a configuration to the dataset the policy is built for, and refuses what does not fit together."""
 
 import logging
 from collections import Counter
@@ -19,9 +19,11 @@ from lerobot_buds.core import (
     same_rate,
 )
 from lerobot_buds.data import read_collection
-from lerobot_buds.segmentation import load_labels
+from lerobot_buds.segmentation import SkillModel, load_labels
 
+from .actions import ActionRange, assume_plain_actions, choose_coding
 from .configuration_buds import PAPER_FPS, BudsConfig, refuse_other_images
+from .library import TrainedSkills
 
 logger = logging.getLogger(__name__)
 
@@ -30,7 +32,42 @@ _OTHER_LABELS = (
 )
 
 
-def settle_on_dataset(config: BudsConfig, meta: Any, may_be_renamed: bool = False) -> None:
+def complete(config: BudsConfig, meta: Any, library: TrainedSkills | None, from_checkpoint: bool) -> ActionRange | None:
+    """Fills all open fields of a configuration.
+
+    Args:
+        config: Changed in place.
+        meta: LeRobot's metadata of the dataset to train on, or None.
+        library: Skills that are taken over.
+        from_checkpoint: Weights will be loaded: the configuration is that of a checkpoint.
+
+    Returns:
+        The actions of the dataset.
+
+    Raises:
+        ConfigError: The configuration cannot work with the features or the actions.
+        SegmentationError: The dataset has no valid labels.
+        CheckpointError: The configuration of a checkpoint or of the library does not fit the dataset.
+    """
+    if library is not None:
+        library.adopt(config)
+    if not from_checkpoint:
+        config.limit_image_size()
+    config.validate_features()
+    found = None
+    if meta is None:
+        fit_without_dataset(config)
+    else:
+        fit_to_dataset(config, meta, may_be_renamed=from_checkpoint)
+        found = ActionRange.read(Path(meta.root))
+    if found is None or library is not None or from_checkpoint:
+        assume_plain_actions(config)
+    else:
+        choose_coding(config, found)
+    return found
+
+
+def fit_to_dataset(config: BudsConfig, meta: Any, may_be_renamed: bool = False) -> None:
     """Fills the configuration's open fields from a segmented dataset, and checks those that a checkpoint has filled.
 
     Args:
@@ -51,6 +88,10 @@ def settle_on_dataset(config: BudsConfig, meta: Any, may_be_renamed: bool = Fals
         if config.segmentation not in record.lineage:  # else the dataset's skills are those of the policy
             labels = record.labels_hash
             config.segmentation = _agree("segmentation", config.segmentation, labels, meta.root, _OTHER_LABELS)
+        if config.subgoal_space == "latent":
+            representation = SkillModel.from_pretrained(Path(meta.root)).representation
+            config.representation = _agree("representation", config.representation, representation.hash, meta.root)
+            config.subgoal_dim = representation.width
     else:
         config.n_skills = _agree("n_skills", config.n_skills, 1, meta.root)
     fps = float(meta.fps)
@@ -64,19 +105,19 @@ def settle_on_dataset(config: BudsConfig, meta: Any, may_be_renamed: bool = Fals
     config.tasks = config.tasks or tasks
     for task in tasks:
         task_number(config, task)
-    settle_state(config)
+    choose_state(config)
 
 
-def settle_without_dataset(config: BudsConfig) -> None:
+def fit_without_dataset(config: BudsConfig) -> None:
     """Completes a configuration that no dataset has filled: an untrained policy for trying out an environment."""
     if config.n_skills is None or config.fps is None:
         logger.warning("Policy 'buds' was built without a dataset: it is untrained, has one skill and assumes 20 Hz.")
     config.n_skills = config.n_skills or 1
     config.fps = config.fps or float(PAPER_FPS)
-    settle_state(config)
+    choose_state(config)
 
 
-def settle_state(config: BudsConfig) -> None:
+def choose_state(config: BudsConfig) -> None:
     """Chooses the dimensions of the state, where that has not been done, and says which they are.
 
     Args:

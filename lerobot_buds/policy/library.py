@@ -11,13 +11,15 @@ from torch import Tensor, nn
 from lerobot_buds.core import CheckpointError
 from lerobot_buds.data import download
 
-from .actions import keep_older_actions
+from .actions import assume_plain_actions
 from .configuration_buds import LIBRARY_FIELDS, BudsConfig
 
 logger = logging.getLogger(__name__)
 
-PARTS = ("skills", "proprioception", "actions")
-"""Modules of a policy that make up its skills."""
+PARTS = ("skills", "proprioception", "actions", "goals")
+"""Modules of `BudsModel` that make up its skills."""
+
+_MODEL = "model."
 
 _CONFIG, _WEIGHTS = "config.json", "model.safetensors"
 
@@ -29,7 +31,7 @@ class TrainedSkills:
     Attributes:
         name: Where they come from.
         config: Configuration of that policy.
-        tensors: Weights and buffers of `PARTS`, by their names in the policy.
+        tensors: Weights and buffers of `PARTS`, by their names in the model.
     """
 
     name: str
@@ -52,13 +54,13 @@ class TrainedSkills:
         try:
             config = PreTrainedConfig.from_pretrained(folder, local_files_only=True)
             with safe_open(folder / _WEIGHTS, framework="pt") as file:
-                keys = [key for key in file.keys() if key.split(".")[0] in PARTS]  # noqa: SIM118 (not a dictionary)
-                tensors = {key: file.get_tensor(key) for key in keys}
+                names = [name.removeprefix(_MODEL) for name in file.keys()]  # noqa: SIM118 (not a dictionary)
+                tensors = {n: file.get_tensor(_MODEL + n) for n in names if n.split(".")[0] in PARTS}
         except (OSError, ValueError, KeyError, SafetensorError) as error:
             raise CheckpointError(f"{name} holds no readable policy ({type(error).__name__}: {error}).") from error
         if not isinstance(config, BudsConfig) or not config.has_subgoals:
             raise CheckpointError(f"{name} holds a policy of type {config.type!r} without skills to take over.")
-        keep_older_actions(config)
+        assume_plain_actions(config)
         return cls(name, config, tensors)
 
     def adopt(self, config: BudsConfig) -> None:
@@ -83,11 +85,11 @@ class TrainedSkills:
         for name in LIBRARY_FIELDS:
             setattr(config, name, getattr(self.config, name))
 
-    def load_into(self, policy: nn.Module) -> None:
-        """Copies the weights into a policy whose configuration has adopted this one's.
+    def load_into(self, model: nn.Module) -> None:
+        """Copies the weights into a model whose configuration has adopted this one's.
 
         Args:
-            policy: Its modules `PARTS` are overwritten.
+            model: Its modules `PARTS` are overwritten.
 
         Raises:
             CheckpointError: Names or shapes of the weights differ.
@@ -95,7 +97,7 @@ class TrainedSkills:
         for part in PARTS:
             tensors = {k.removeprefix(f"{part}."): v for k, v in self.tensors.items() if k.startswith(f"{part}.")}
             try:
-                policy.get_submodule(part).load_state_dict(tensors)
+                model.get_submodule(part).load_state_dict(tensors)
             except RuntimeError as error:
                 raise CheckpointError(f"The skills of {self.name} do not fit their configuration: {error}") from error
         logger.info("Took %d skills over from %s; they are frozen.", self.config.n_skills, self.name)

@@ -1,4 +1,4 @@
-"""Building blocks of the networks: image trunks, spatial softmax, multi-layer perceptrons."""
+"""What the networks are built of: image trunks, spatial softmax, perceptrons, and one network for every group."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -11,6 +11,9 @@ from .configuration_buds import BudsConfig
 
 Trunk = tuple[nn.Module, int]
 """Layers that turn images into maps, and the channels of these."""
+
+Rows = Tensor | slice
+"""Picks rows of a batch."""
 
 GROUP_WIDTH = 16
 """Channels per group of group normalisation (Wu and He 2018)."""
@@ -138,3 +141,79 @@ def make_keypoint_encoder(trunk: nn.Module, channels: int, keypoints: int, featu
 def make_pooled_encoder(trunk: nn.Module) -> Layers:
     """Builds trunk and global average pooling: images to ``(B, channels)`` (released meta controller)."""
     return Layers(trunk, nn.AdaptiveAvgPool2d(1), nn.Flatten())
+
+
+def by_group(number: Tensor, compute: Callable[[int, Rows], Sequence[Tensor]]) -> list[Tensor]:
+    """Computes something for all rows of a batch, group by group.
+
+    Args:
+        number: ``(B,)`` int64 group of every row, B at least 1.
+        compute: Called with the number of a group and its rows; returns tensors with one row for each of them.
+
+    Returns:
+        The tensors of all groups put together, rows in the order of the batch.
+    """
+    if len(number) == 1:
+        return list(compute(int(number), slice(None)))
+    order = torch.argsort(number, stable=True)
+    groups, counts = torch.unique_consecutive(number[order], return_counts=True)
+    if len(groups) == 1:
+        return list(compute(int(groups), slice(None)))
+    parts = [
+        compute(group, rows) for group, rows in zip(groups.tolist(), torch.split(order, counts.tolist()), strict=True)
+    ]
+    back = torch.argsort(order)
+    return [torch.cat(tensors)[back] for tensors in zip(*parts, strict=True)]
+
+
+def random_shift(images: Tensor, padding: int) -> Tensor:
+    """Shifts every sample by up to `padding` pixels, repeating the border (paper: DrQ's pad and crop).
+
+    All channels of a sample, hence all stacked cameras, share one shift. Images come out with the channels of a pixel
+    together, which convolutions are faster on.
+
+    Args:
+        images: ``(B, C, H, W)`` floats.
+        padding: Largest shift (pixels); 0 changes nothing.
+    """
+    if padding == 0:
+        return images
+    batch, channels, height, width = images.shape
+    shifts = torch.randint(-padding, padding + 1, (2, batch, 1, 1), device=images.device)
+    rows = (torch.arange(height, device=images.device)[:, None] + shifts[0]).clamp(0, height - 1)  # (B, H, 1)
+    columns = (torch.arange(width, device=images.device) + shifts[1]).clamp(0, width - 1)  # (B, 1, W)
+    pixels = (rows * width + columns).view(batch, 1, -1).expand(-1, channels, -1)
+    shifted = images.flatten(start_dim=2).gather(2, pixels).view(images.shape)
+    return shifted.contiguous(memory_format=torch.channels_last)
+
+
+def lay_out(network: nn.Module, memory_format: torch.memory_format) -> None:
+    """Puts the kernels of convolutions in another order in memory, in place.
+
+    One image at a time, kernels with the channels together save a third of the time. In training they must lie in the
+    usual order: LeRobot cannot save the state of an optimiser that takes after others.
+
+    Args:
+        network: Its parameters keep their identity.
+        memory_format: ``torch.contiguous_format`` or ``torch.channels_last``.
+    """
+    for kernel in network.parameters():
+        # Those of one pixel or one channel lie alike in both, and would not find back to their strides.
+        if kernel.ndim == 4 and kernel.shape[1] > 1 and kernel.shape[2:].numel() > 1:
+            kernel.data = kernel.data.contiguous(memory_format=memory_format)
+
+
+def compile_encoders(network: nn.Module) -> None:
+    """Compiles image encoders and trunks, in place.
+
+    Args:
+        network: What contains them.
+    """
+    names = {"image_encoder", "subgoal_encoder", "image_trunk", "goal_trunk"}
+    encoders = [module for name, module in network.named_modules() if name.rpartition(".")[2] in names]
+    # All run the same line of code, and what is compiled too often (for gradients or not, for a single row, ...)
+    # falls back to what it was.
+    limit = torch.compiler.config.recompile_limit
+    torch.compiler.config.recompile_limit = max(limit, 4 * len(encoders))
+    for encoder in encoders:
+        encoder.compile(dynamic=True)  # a skill's share of a batch changes from step to step

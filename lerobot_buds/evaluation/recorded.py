@@ -1,0 +1,70 @@
+"""Frames of a dataset as a policy's model takes them, out of memory; LeRobot's loader would be most of the time."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from lerobot_buds.core import ACTION, STATE, IntArray
+from lerobot_buds.data import LocalDataset, as_floats, cached_frames, read_table
+from lerobot_buds.policy import BudsConfig
+from lerobot_buds.policy.fitting import task_number
+from lerobot_buds.policy.inputs import Observation
+from lerobot_buds.policy.labels import Labels, LabelTable
+
+
+class RecordedFrames:
+    """All frames of a dataset that is whole on this machine.
+
+    Args:
+        root: Its folder.
+        config: Configuration of a policy that was built for it.
+
+    Attributes:
+        starts: ``(E,)`` int64 first frame of every episode.
+        ends: ``(E,)`` int64 one past its last frame.
+        label_table: What the dataset says about its frames.
+
+    Raises:
+        CheckpointError: A task is unknown to the policy.
+        DatasetError: The dataset is damaged.
+        SegmentationError: It is not segmented.
+    """
+
+    def __init__(self, root: Path, config: BudsConfig) -> None:
+        dataset = LocalDataset(root)
+        table = read_table(root, [STATE, ACTION] if config.state_size else [ACTION])
+        total = len(table.present)
+        self.starts, self.ends = table.starts, table.ends
+        self._device, self._chunk = torch.device(str(config.device)), config.chunk_size
+        self._cameras = [cached_frames(dataset, camera, size=config.image_shape) for camera in config.stacked_cameras]
+        self._state = table.columns.get(STATE, np.empty((total, 0))).reshape(total, -1).astype(np.float32)
+        self._actions = table.columns[ACTION].reshape(total, -1).astype(np.float32)
+        tasks = [task_number(config, record["tasks"][0]) for record in dataset.episodes]
+        self._tasks = np.repeat(tasks, self.ends - self.starts)
+        self.label_table = LabelTable(root, config)
+        self._workspace = config.stacked_cameras[0]
+
+    def observation(self, rows: IntArray) -> Observation:
+        """What was seen and felt in frames ``(B,)``."""
+        images = np.concatenate([frames[rows] for frames in self._cameras], axis=1)
+        return Observation(
+            images=as_floats(torch.from_numpy(images).to(self._device)),
+            state=torch.from_numpy(self._state[rows]).to(self._device),
+            task=torch.from_numpy(self._tasks[rows]).to(self._device),
+        )
+
+    def actions(self, rows: IntArray) -> tuple[Tensor, Tensor]:
+        """What was done from frames ``(B,)`` on: ``(B, n, A)`` actions, and ``(B, n)`` bool, after the end."""
+        ahead = rows[:, None] + np.arange(self._chunk)
+        last = self.ends[np.searchsorted(self.ends, rows, side="right")][:, None] - 1
+        actions: NDArray[np.float32] = self._actions[np.minimum(ahead, last)]
+        return torch.from_numpy(actions).to(self._device), torch.from_numpy(ahead > last).to(self._device)
+
+    def labels(self, rows: IntArray) -> Labels:
+        """What the dataset says about frames ``(B,)``."""
+        images = {self._workspace: torch.from_numpy(self._cameras[0][rows])}
+        found = self.label_table.lookup(torch.from_numpy(rows), images)
+        return Labels(**{name: value.to(self._device) for name, value in vars(found).items()})
