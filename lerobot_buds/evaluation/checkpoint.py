@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
+    from lerobot_buds.policy import BudsConfig
     from lerobot_buds.policy.modeling_buds import BudsPolicy
 
 CONFIG_FILE, WEIGHTS_FILE = "config.json", "model.safetensors"
@@ -52,24 +53,12 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
             are not the environment's.
         ConfigError: It was not trained on the task.
     """
-    from draccus.utils import ParsingError
-    from lerobot.configs import PreTrainedConfig
     from lerobot.policies import make_policy, make_pre_post_processors
 
-    from lerobot_buds.data import download
     from lerobot_buds.policy.fitting import check_environment, task_number  # registers the policy with LeRobot, too
 
-    folder = Path(name) if Path(name).is_dir() else download(name, ["*.json", "*.safetensors"])
-    _check_files(folder)
-    try:
-        config = PreTrainedConfig.from_pretrained(folder)
-    except ParsingError as error:
-        raise CheckpointError(
-            f"{folder / CONFIG_FILE} has settings that this version does not understand ({error}): use the version of "
-            "this package that wrote it, or train again."
-        ) from error
-    config.pretrained_path = folder
-    config.device = device or config.device
+    folder = checkpoint_folder(name)
+    config = _read_config(folder, device)
     check_environment(config, env.fps, env.render_profile)
     task_number(config, task.description)
     preprocess, postprocess = make_pre_post_processors(
@@ -81,6 +70,60 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
     policy = make_policy(config, env_cfg=env, rename_map=renamed)
     files = [sha256_of_file(folder / file) for file in (CONFIG_FILE, WEIGHTS_FILE)]
     return Checkpoint(policy, preprocess, postprocess, sha256_of_json(files), renamed)
+
+
+def load_policy(name: str, root: Path, device: str | None = None) -> "BudsPolicy":
+    """Loads a checkpoint for a dataset, without an environment.
+
+    Args:
+        name: Folder of the checkpoint, or a repository on the Hub.
+        root: Folder of the dataset.
+        device: Where to compute; the checkpoint's own choice where None.
+
+    Raises:
+        CheckpointError: There is no such checkpoint, it is none of policy ``buds``, or it does not fit the dataset.
+        ConfigError: It does not know a task of the dataset.
+        SegmentationError: The dataset is not segmented.
+    """
+    from lerobot.datasets import LeRobotDatasetMetadata
+
+    from lerobot_buds.policy.modeling_buds import BudsPolicy
+
+    folder = checkpoint_folder(name)
+    meta = LeRobotDatasetMetadata(root.name, root=root)
+    return BudsPolicy.from_pretrained(folder, config=_read_config(folder, device), dataset_meta=meta)
+
+
+def checkpoint_folder(name: str) -> Path:
+    """Finds a checkpoint of policy ``buds``, in a folder or on the Hub.
+
+    Raises:
+        CheckpointError: There is none.
+    """
+    from lerobot_buds.data import download
+
+    folder = Path(name) if Path(name).is_dir() else download(name, ["*.json", "*.safetensors"])
+    _check_files(folder)
+    return folder
+
+
+def _read_config(folder: Path, device: str | None) -> "BudsConfig":
+    from draccus.utils import ParsingError
+    from lerobot.configs import PreTrainedConfig
+
+    from lerobot_buds.policy import BudsConfig
+
+    try:
+        config = PreTrainedConfig.from_pretrained(folder)
+    except ParsingError as error:
+        raise CheckpointError(
+            f"{folder / CONFIG_FILE} has settings that this version does not understand ({error}): use the version of "
+            "this package that wrote it, or train again."
+        ) from error
+    assert isinstance(config, BudsConfig)
+    config.pretrained_path = folder
+    config.device = device or config.device
+    return config
 
 
 def _renamed(preprocess: Any) -> dict[str, str]:

@@ -1,14 +1,12 @@
 """Frames of a dataset as a policy's model takes them, out of memory; LeRobot's loader would be most of the time."""
 
-from pathlib import Path
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_buds.core import ACTION, STATE, IntArray
-from lerobot_buds.data import LocalDataset, as_floats, cached_frames, read_table
+from lerobot_buds.data import AnyDataset, LocalDataset, as_floats, cached_frames, read_table
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.fitting import task_number
 from lerobot_buds.policy.inputs import Observation
@@ -16,14 +14,14 @@ from lerobot_buds.policy.labels import Labels, LabelTable
 
 
 class RecordedFrames:
-    """All frames of a dataset that is whole on this machine.
+    """All frames of the chosen episodes of a dataset.
 
     Args:
-        root: Its folder.
+        dataset: What stands for it.
         config: Configuration of a policy that was built for it.
 
     Attributes:
-        starts: ``(E,)`` int64 first frame of every episode.
+        starts: ``(E,)`` int64 first frame of every chosen episode.
         ends: ``(E,)`` int64 one past its last frame.
         label_table: What the dataset says about its frames.
 
@@ -33,18 +31,19 @@ class RecordedFrames:
         SegmentationError: It is not segmented.
     """
 
-    def __init__(self, root: Path, config: BudsConfig) -> None:
-        dataset = LocalDataset(root)
-        table = read_table(root, [STATE, ACTION] if config.state_size else [ACTION])
+    def __init__(self, dataset: AnyDataset, config: BudsConfig) -> None:
+        dataset = LocalDataset.of(dataset)
+        table = read_table(dataset, [STATE, ACTION] if config.state_size else [ACTION])
         total = len(table.present)
         self.starts, self.ends = table.starts, table.ends
         self._device, self._chunk = torch.device(str(config.device)), config.chunk_size
         self._cameras = [cached_frames(dataset, camera, size=config.image_shape) for camera in config.stacked_cameras]
         self._state = table.columns.get(STATE, np.empty((total, 0))).reshape(total, -1).astype(np.float32)
         self._actions = table.columns[ACTION].reshape(total, -1).astype(np.float32)
-        tasks = [task_number(config, record["tasks"][0]) for record in dataset.episodes]
-        self._tasks = np.repeat(tasks, self.ends - self.starts)
-        self.label_table = LabelTable(root, config)
+        self._tasks = np.zeros(total, dtype=np.int64)
+        for record, start, end in zip(dataset.episodes, self.starts, self.ends, strict=True):
+            self._tasks[start:end] = task_number(config, record["tasks"][0])
+        self.label_table = LabelTable(dataset.root, config)
         self._workspace = config.stacked_cameras[0]
 
     def observation(self, rows: IntArray) -> Observation:
