@@ -96,6 +96,8 @@ class TrainedSkills:
         """
         for part in PARTS:
             tensors = {k.removeprefix(f"{part}."): v for k, v in self.tensors.items() if k.startswith(f"{part}.")}
+            if getattr(model, part) is None:
+                continue  # there are latent goals in some only
             try:
                 model.get_submodule(part).load_state_dict(tensors)
             except RuntimeError as error:
