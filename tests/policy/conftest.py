@@ -158,6 +158,11 @@ def record() -> Callable[..., LeRobotDatasetMetadata]:
 
 
 @pytest.fixture(scope="session")
+def save_representation() -> Callable[..., Representation]:
+    return _save_representation
+
+
+@pytest.fixture(scope="session")
 def meta(tmp_path_factory: pytest.TempPathFactory) -> LeRobotDatasetMetadata:
     """Metadata of the dataset that most tests use: three episodes."""
     return _record(tmp_path_factory.mktemp("data") / "segmented")

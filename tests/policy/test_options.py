@@ -235,6 +235,36 @@ def test_only_a_meta_controller_is_trained_on_skills_of_a_library(build, batch, 
     assert not any(p.requires_grad for p in again.model.skills.parameters())
 
 
+@pytest.mark.parametrize("space", ["image", "latent"])
+def test_skills_of_a_library_act_as_they_did(build, batch, tmp_path, space):
+    """Given the same decisions; a library of latent goals brings its scaling of them."""
+    source = build(subgoal_space=space, chunk_size=3, heads="residual")
+    if space == "latent":
+        source.model.goals.std.mul_(2)
+    source.save_pretrained(tmp_path)
+    policy = build(skills_path=str(tmp_path), chunk_size=2)
+    assert policy.config.subgoal_space == space and policy.config.chunk_size == 3
+    labels, seen = Labels.of(batch(policy)), read_inputs(policy.config, batch(policy))
+    outputs = []
+    for model in (source.model.eval(), policy.model.eval()):
+        maps, proprio = model.encode(seen, labels.history)
+        subgoal, _ = model.encode_goals(labels.skill, labels.goal)
+        outputs.append(model.act(seen, maps, proprio, labels.skill, subgoal))
+    assert torch.equal(*outputs)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"chunk_size": 3, "n_action_steps": 3}, "n_action_steps=3 is more than chunk_size=1"),
+        ({"shared_trunk": True, "meta_trunk": "skills"}, "needs shared_trunk"),
+    ],
+)
+def test_settings_that_do_not_fit_the_library_are_refused(build, library, settings, message):
+    with pytest.raises(ConfigError, match=message):
+        build(skills_path=str(library), **settings)
+
+
 def test_libraries_that_do_not_fit_are_refused(build, library, tmp_path):
     with pytest.raises(CheckpointError, match="neither a folder"):
         build(skills_path="not a name")
