@@ -142,7 +142,9 @@ class LabelTable:
                 self._neighbour[early] = segments[number + 1].label
                 self._neighbour_goal[early] = np.minimum(early + horizon, first + last)
             decided = np.arange(start + config.meta_period, min(end + config.meta_period, len(labels)))
-            self._held[first + decided], self._held_for[first + decided] = skill, decided - start
+            self._held[first + decided] = skill
+            # It came into force at a decision, not at the very edge.
+            self._held_for[first + decided] = (decided - start) // config.meta_period * config.meta_period
             self._finished[first + decided] = finished
             finished[skill] += 1
 

@@ -71,6 +71,7 @@ class TrainedSkills:
 
         Raises:
             CheckpointError: Cameras, state or actions have other shapes.
+            ConfigError: Settings of the new one do not fit those of the library.
         """
         for kind in ("input_features", "output_features"):
             mine, theirs = getattr(self.config, kind), getattr(config, kind)
@@ -84,6 +85,7 @@ class TrainedSkills:
             setattr(config, kind, dict(mine))
         for name in LIBRARY_FIELDS:
             setattr(config, name, getattr(self.config, name))
+        config.__post_init__()
 
     def load_into(self, model: nn.Module) -> None:
         """Copies the weights into a model whose configuration has adopted this one's.
@@ -96,6 +98,8 @@ class TrainedSkills:
         """
         for part in PARTS:
             tensors = {k.removeprefix(f"{part}."): v for k, v in self.tensors.items() if k.startswith(f"{part}.")}
+            if getattr(model, part) is None:
+                continue  # there are latent goals in some only
             try:
                 model.get_submodule(part).load_state_dict(tensors)
             except RuntimeError as error:

@@ -40,7 +40,8 @@ class LatentGoals(nn.Module):
         """Takes mean and deviation of ``(N, d)`` latents; rows of NaN are frames that are not on this machine."""
         present = latents[~latents.isnan().any(dim=1)].double()
         self.mean.copy_(present.mean(dim=0))
-        self.std.copy_(present.std(dim=0, correction=0).clamp(min=CONSTANT_BELOW))
+        std = present.std(dim=0, correction=0)
+        self.std.copy_(torch.where(std < CONSTANT_BELOW, torch.ones_like(std), std))
 
     def forward(self, latents: Tensor) -> Tensor:
         """Standardises ``(B, d)`` latents."""

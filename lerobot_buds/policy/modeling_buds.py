@@ -158,7 +158,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         """
         observation = self._observe(batch)
         rollout = self._rollouts.get(threading.get_ident())
-        if rollout is None:
+        if rollout is None or len(rollout.skill) != len(observation.images):
             return Rollout.start(self.model, observation).foresee(self.model, observation, noise, remembers=False)
         return rollout.foresee(self.model, observation, noise)
 

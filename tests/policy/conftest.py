@@ -29,11 +29,14 @@ from lerobot_buds.core import (
 )
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.modeling_buds import BudsPolicy
-from lerobot_buds.segmentation import SegmentationRecord
+from lerobot_buds.policy.processor_buds import _offered
+from lerobot_buds.representation import Modalities, Representation, RepresentationConfig
+from lerobot_buds.segmentation import DiscoveryConfig, SegmentationRecord, SkillLibrary, SkillModel
 
 REPO_ID = "tests/segmented"
 FPS = 20
 HORIZON = 3
+LATENT = 3
 PIXELS = 32
 TASK = "Close the drawer"
 STATE_NAMES = ["joint_1.pos", "joint_2.pos", "gripper_left.pos", "gripper_right.pos", "eef_x.pos"]
@@ -101,7 +104,18 @@ def _record(root: Path, fps: int = FPS, repeats: int = 1) -> LeRobotDatasetMetad
         start += len(labels)
     dataset.finalize()
     SegmentationRecord.of_labels(episodes, repo_id=REPO_ID, fps=fps, horizon=HORIZON).write(root)
+    _save_representation(root)
     return LeRobotDatasetMetadata(REPO_ID, root=root)
+
+
+def _save_representation(root: Path, **changes: Any) -> Representation:
+    """Puts an untrained representation and no exemplars into a dataset, as if its skills had been found with it."""
+    config = RepresentationConfig(**{"image_size": 16, "latent_dim": LATENT, "device": "cpu", **changes})
+    representation = Representation.untrained(Modalities.select(root, config), config)
+    none = np.empty(0, dtype=np.int64)
+    exemplars = SkillLibrary(np.empty((0, 1)), none, none, n_skills=2, num_keyframes=1)
+    SkillModel(representation, DiscoveryConfig(), exemplars).save(root)
+    return representation
 
 
 def _record_robot(
@@ -144,6 +158,11 @@ def record() -> Callable[..., LeRobotDatasetMetadata]:
 
 
 @pytest.fixture(scope="session")
+def save_representation() -> Callable[..., Representation]:
+    return _save_representation
+
+
+@pytest.fixture(scope="session")
 def meta(tmp_path_factory: pytest.TempPathFactory) -> LeRobotDatasetMetadata:
     """Metadata of the dataset that most tests use: three episodes."""
     return _record(tmp_path_factory.mktemp("data") / "segmented")
@@ -159,6 +178,11 @@ def cache_in_tmp(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.M
     monkeypatch.setattr("lerobot_buds.data.store.HF_LEROBOT_HOME", tmp_path_factory.getbasetemp() / "home")
 
 
+@pytest.fixture(autouse=True)
+def no_labels_of_other_tests() -> None:
+    _offered.clear()
+
+
 @pytest.fixture
 def build(meta: LeRobotDatasetMetadata) -> Callable[..., BudsPolicy]:
     """Builds small policies on the dataset through LeRobot's own factory; keyword arguments override the sizes."""
@@ -172,11 +196,12 @@ def build(meta: LeRobotDatasetMetadata) -> Callable[..., BudsPolicy]:
 
 @pytest.fixture
 def batch_of(dataset_root: Path) -> Callable[..., dict[str, Any]]:
-    """Loads rows of the dataset as LeRobot's data loader collates them."""
+    """Loads rows of the dataset as LeRobot's loader and preprocessor do, with the labels of the policy built last."""
     dataset = LeRobotDataset(REPO_ID, root=dataset_root)
+    prepare, _ = make_pre_post_processors(BudsConfig(**SMALL))
 
     def batch_of(*rows: int) -> dict[str, Any]:
-        return torch.utils.data.default_collate([dataset[row] for row in rows])
+        return prepare(torch.utils.data.default_collate([dataset[row] for row in rows]))
 
     return batch_of
 
@@ -257,7 +282,8 @@ def so101_policy(so101: LeRobotDatasetMetadata, tmp_path_factory: pytest.TempPat
     policy = make_policy(BudsConfig(**config), ds_meta=so101).train()
     optimizer = policy.config.get_optimizer_preset().build(policy.get_optim_params())
     dataset = LeRobotDataset("tests/robot", root=so101.root)
-    batch = torch.utils.data.default_collate(list(dataset))
+    prepare, finish = make_pre_post_processors(policy.config, dataset_stats=so101.stats)
+    batch = prepare(torch.utils.data.default_collate(list(dataset)))
     steps = 400
     decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     for _ in range(steps):
@@ -267,6 +293,6 @@ def so101_policy(so101: LeRobotDatasetMetadata, tmp_path_factory: pytest.TempPat
         optimizer.step()
         decay.step()
     folder = tmp_path_factory.mktemp("so101") / "policy"
-    for part in (policy, *make_pre_post_processors(policy.config, dataset_stats=so101.stats)):
+    for part in (policy, prepare, finish):
         part.save_pretrained(folder)
     return folder

@@ -7,12 +7,12 @@ import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.datasets import LeRobotDataset
-from lerobot.policies import make_policy
+from lerobot.policies import make_policy, make_pre_post_processors
 from safetensors.torch import load_file
 
 from lerobot_buds.core import ACTION, OUR_ACTION, OUR_STATE, ConfigError, DatasetError
 from lerobot_buds.policy import BudsConfig
-from lerobot_buds.policy.actions import REACH, ActionCoding, ActionRange, settle_actions
+from lerobot_buds.policy.actions import REACH, ActionCoding, ActionRange, choose_coding
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
 DEGREES = ["pan", "lift", "gripper"]
@@ -28,7 +28,7 @@ def coding(actions, **settings):
     config = BudsConfig(
         device="cpu", output_features={ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(size,))}, **settings
     )
-    settle_actions(config, actions)
+    choose_coding(config, actions)
     return ActionCoding(config, actions)
 
 
@@ -75,7 +75,9 @@ def test_two_values_are_recognised_in_any_type(record_robot, tmp_path, dtype, ca
         policy = make_policy(BudsConfig(device="cpu", skills="flat", encoder="conv"), ds_meta=meta)
     assert policy.config.binary_dims == [0, 1]
     assert "'open' (0 to 1), 'vacuum' (0 to 1)" in caplog.text
-    batch = torch.utils.data.default_collate([LeRobotDataset("tests/robot", root=meta.root)[i] for i in range(4)])
+    prepare, _ = make_pre_post_processors(policy.config, dataset_stats=meta.stats)
+    dataset = LeRobotDataset("tests/robot", root=meta.root)
+    batch = prepare(torch.utils.data.default_collate([dataset[i] for i in range(4)]))
     loss, metrics = policy(batch)
     loss.backward()
     assert np.isfinite(loss.item()) and metrics["action_error"] <= 1
@@ -160,7 +162,7 @@ def test_an_arm_in_degrees_is_learnt(so101, so101_policy):
 def test_checkpoints_from_before_act_as_before(build, batch_of, tmp_path):
     policy = build(action_scaling="none", binary_dims=[])
     policy.save_pretrained(tmp_path)
-    assert not [name for name in load_file(tmp_path / "model.safetensors") if name.startswith("actions")]
+    assert not [name for name in load_file(tmp_path / "model.safetensors") if name.startswith("model.actions")]
     config = json.loads((tmp_path / "config.json").read_text())
     for field in ("action_scaling", "binary_dims", "cameras"):
         del config[field]
@@ -168,7 +170,7 @@ def test_checkpoints_from_before_act_as_before(build, batch_of, tmp_path):
     (tmp_path / "config.json").write_text(json.dumps(config))
     outputs = []
     policy = BudsPolicy.from_pretrained(tmp_path)
-    policy.skills.register_forward_hook(lambda _, __, output: outputs.append(output[0]))
+    policy.model.skills.register_forward_hook(lambda _, __, output: outputs.append(output))
     action = policy.select_action({k: v for k, v in batch_of(0, 12).items() if k.startswith("observation")})
     assert torch.equal(action, torch.tanh(outputs[0])[:, 0])
 
@@ -186,7 +188,8 @@ def test_a_checkpoint_keeps_its_scaling_on_other_data(so101, so101_policy, recor
     config.pretrained_path = so101_policy
     with caplog.at_level("WARNING", logger="lerobot_buds"):
         tuned = make_policy(config, ds_meta=other)
-    assert torch.equal(tuned.actions.low, source.actions.low) and torch.equal(tuned.actions.high, source.actions.high)
+    assert torch.equal(tuned.model.actions.low, source.model.actions.low)
+    assert torch.equal(tuned.model.actions.high, source.model.actions.high)
     assert "cannot reach all of 'shoulder_lift.pos'" in caplog.text
     caplog.clear()
     assert np.array_equal(actions_of(tuned, dataset, [7]), actions_of(source, dataset, [7]))
@@ -204,11 +207,11 @@ def test_skills_of_a_library_keep_its_scaling(build, batch_of, tmp_path, older):
         (tmp_path / "config.json").write_text(json.dumps(config))
     else:
         with torch.no_grad():  # as if from other data
-            library.actions.high *= 3
+            library.model.actions.high *= 3
         library.save_pretrained(tmp_path)
     policy = build(skills_path=str(tmp_path))
     assert policy.config.action_scaling == ("none" if older else "bounds")
-    assert torch.equal(policy.actions.high, torch.ones(4) if older else library.actions.high)
+    assert torch.equal(policy.model.actions.high, torch.ones(4) if older else library.model.actions.high)
 
 
 @pytest.mark.parametrize("skills", ["segments", "single", "flat"])
@@ -216,8 +219,8 @@ def test_skills_of_a_library_keep_its_scaling(build, batch_of, tmp_path, older):
 def test_all_kinds_of_skills_say_actions_in_their_unit(build, batch_of, monkeypatch, skills, chunk):
     policy = build(skills=skills, chunk_size=chunk)
     with torch.no_grad():
-        policy.actions.low.fill_(100.0)
-        policy.actions.high.fill_(140.0)
+        policy.model.actions.low.fill_(100.0)
+        policy.model.actions.high.fill_(140.0)
     batch = batch_of(*range(8))
     if chunk > 1:
         batch[ACTION] = batch[ACTION][:, None].repeat(1, chunk, 1)

@@ -6,9 +6,9 @@ import torch
 from lerobot.datasets import LeRobotDataset
 
 from lerobot_buds.core import CheckpointError
-from lerobot_buds.data import LocalDataset, cached_frames, scale_images
+from lerobot_buds.data import LocalDataset, as_floats, cached_frames, scale_images
 from lerobot_buds.policy import BudsConfig
-from lerobot_buds.policy.goals import GoalFrames
+from lerobot_buds.policy.goals import GoalImages
 
 CAMERAS = ("observation.images.front", "observation.images.hand")
 SIZE = 40
@@ -32,13 +32,13 @@ def dataset(request, tmp_path_factory):
     return LeRobotDataset("tests/goals", root=root)
 
 
-def goals_of(dataset, camera: str) -> GoalFrames:
+def goals_of(dataset, camera: str) -> GoalImages:
     from lerobot.configs import FeatureType, PolicyFeature
 
     config = BudsConfig(device="cpu", encoder="conv", image_size=SIZE)
     config.input_features = {camera: PolicyFeature(FeatureType.VISUAL, (3, 48, 64))}
     config.workspace_camera = camera
-    return GoalFrames(dataset.root, config, np.array([0, 9]))
+    return GoalImages(dataset.root, config, np.array([0, 9]))
 
 
 @pytest.mark.parametrize("shown", CAMERAS)
@@ -48,9 +48,9 @@ def test_a_renamed_camera_has_the_goals_of_the_same_camera(dataset, shown):
     batch = torch.stack([dataset[int(i)][shown] for i in index])
     for name in (*CAMERAS, "observation.images.agentview"):
         goals = goals_of(dataset, name)
-        goals.recognise(index, batch)
+        goals.recognise(index.numpy(), batch)
         expected = scale_images(batch, (SIZE, SIZE))
-        assert torch.equal(goals.images(index.numpy(), torch.device("cpu")), expected)  # to the last bit
+        assert torch.equal(as_floats(torch.from_numpy(goals[index.numpy()])), expected)  # to the last bit
 
 
 def test_present_goal_and_representation_see_the_same_bits(dataset):
@@ -64,7 +64,7 @@ def test_present_goal_and_representation_see_the_same_bits(dataset):
 
 
 def test_pixels_of_no_camera_are_refused_where_the_name_does_not_tell(dataset):
-    index, noise = torch.tensor([1, 2]), torch.rand(2, 3, 48, 64)
+    index, noise = np.array([1, 2]), torch.rand(2, 3, 48, 64)
     with pytest.raises(CheckpointError, match=r"cannot be told.*image_transforms"):
         goals_of(dataset, "observation.images.agentview").recognise(index, noise)
     goals_of(dataset, CAMERAS[0]).recognise(index, noise)  # here the name tells, and a warning is enough
@@ -75,8 +75,8 @@ def test_the_decoder_that_lerobot_was_told_is_found_out(dataset):
         told = LeRobotDataset("tests/goals", root=dataset.root, video_backend=backend)
         batch = told[3][CAMERAS[0]][None]
         goals = goals_of(dataset, CAMERAS[0])
-        goals.recognise(torch.tensor([3]), batch)
-        assert torch.equal(goals.images(np.array([3]), torch.device("cpu")), scale_images(batch, (SIZE, SIZE)))
+        goals.recognise(np.array([3]), batch)
+        assert torch.equal(as_floats(torch.from_numpy(goals[np.array([3])])), scale_images(batch, (SIZE, SIZE)))
         local = LocalDataset.of(told)
         assert local.video_backend == backend
         assert torch.equal(torch.from_numpy(cached_frames(local, CAMERAS[0])[[3]]).float() / 255, batch)

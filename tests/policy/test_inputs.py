@@ -39,7 +39,7 @@ def test_one_number_is_a_vector_of_one(robot, chunk, state, action):
     policy, batch = robot([ramp.repeat(state, 1)], [0.5 * ramp.repeat(action, 1)], skills="single", chunk_size=chunk)
     if action == 1:
         assert batch[ACTION].shape == ((1, 12) if chunk == 1 else (12, 3))  # what LeRobot makes of it
-    assert read_inputs(policy.config, batch)[1].shape == (12, state)
+    assert read_inputs(policy.config, batch).state.shape == (12, state)
     wanted = read_actions(policy.config, batch)
     assert wanted.shape == (12, chunk, action)
     torch.testing.assert_close(wanted[:, 0, 0], torch.from_numpy(0.5 * ramp[:, 0]))
@@ -51,7 +51,7 @@ def test_one_number_is_a_vector_of_one(robot, chunk, state, action):
     shown = {key: value for key, value in batch.items() if key.startswith("observation")}
     assert policy.select_action(shown).shape == (12, action)
     policy.reset()
-    assert policy.predict_action_chunk(shown).shape == (12, 1, action)
+    assert policy.predict_action_chunk(shown).shape == (12, chunk, action)
 
 
 def test_one_action_is_trained_against_its_own_frame(robot):
@@ -101,15 +101,15 @@ def test_shapes_are_compared_before_anything_broadcasts(build, batch_of):
 def test_images_of_bytes_are_the_same_images(build, batch_of):
     policy, batch = build(), batch_of(0, 12)
     images = {key: (255 * value).round().byte() for key, value in batch.items() if key in policy.config.image_features}
-    expected = read_inputs(policy.config, batch)[0]
-    torch.testing.assert_close(read_inputs(policy.config, {**batch, **images})[0], expected)
+    expected = read_inputs(policy.config, batch).images
+    torch.testing.assert_close(read_inputs(policy.config, {**batch, **images}).images, expected)
 
 
 def test_a_task_given_alone_is_the_task_of_all_rows(build, batch_of, task):
     policy = build(tasks=[task, "Boil the pot"])
     batch = {key: value for key, value in batch_of(0, 12).items() if key.startswith("observation")}
-    assert read_inputs(policy.config, {**batch, "task": "Boil the pot"})[2].tolist() == [1, 1]
-    assert read_inputs(policy.config, {**batch, "task": ["Boil the pot", task]})[2].tolist() == [1, 0]
+    assert read_inputs(policy.config, {**batch, "task": "Boil the pot"}).task.tolist() == [1, 1]
+    assert read_inputs(policy.config, {**batch, "task": ["Boil the pot", task]}).task.tolist() == [1, 0]
     with pytest.raises(ConfigError, match="'Boil the pott'"):
         policy.select_action({**batch, "task": "Boil the pott"})
     with pytest.raises(CheckpointError, match=r"1 tasks for 2 rows"):

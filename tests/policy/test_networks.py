@@ -6,9 +6,8 @@ from torch import nn
 from lerobot_buds.core import ACTION, EYE_IN_HAND_CAMERA, STATE, WORKSPACE_CAMERA
 from lerobot_buds.data import scale_images
 from lerobot_buds.policy import BudsConfig
-from lerobot_buds.policy.encoders import SpatialSoftmax, make_conv_trunk, make_norm
-from lerobot_buds.policy.images import random_shift
-from lerobot_buds.policy.meta_controller import MetaController
+from lerobot_buds.policy.meta_controller import MetaController, Situation
+from lerobot_buds.policy.networks import SpatialSoftmax, make_conv_trunk, make_norm, random_shift
 from lerobot_buds.policy.skills import SkillLibrary
 
 
@@ -30,6 +29,18 @@ def paper_config(n_skills=6, **overrides):
     )
 
 
+def situation(images, memory=0, **changes):
+    """What a meta controller decides from that sees images alone."""
+    rows = len(images)
+    told = {"proprio": torch.zeros(rows, 0), "memory": torch.zeros(rows, memory)}
+    told |= {"remembers": torch.ones(rows, 1, dtype=torch.bool), "task": torch.zeros(rows, dtype=torch.int64)}
+    return Situation(images=images, **{**told, **changes})
+
+
+def meta_controller(config):
+    return MetaController(config, n_tasks=0, memory=0, map_channels=0)
+
+
 def count(module: nn.Module) -> int:
     return sum(p.numel() for p in module.parameters())
 
@@ -40,7 +51,7 @@ def test_paper_sizes():
     # Counted by hand from the layer table: ResNet-18 trunks of 6 and 3 channels, keypoints, heads.
     library = SkillLibrary(config)
     assert [count(skill) for skill in library.skills] == [14_186_572] * 6 and count(library) == 6 * 14_186_572
-    assert count(MetaController(paper_config(decoder_sees_skill=False), n_tasks=0)) == 11_997_758
+    assert count(meta_controller(paper_config(decoder_sees_skill=False, meta_proprioception=False))) == 11_997_758
 
 
 def test_group_norm_replaces_every_batch_norm():
@@ -101,11 +112,11 @@ def test_every_row_is_run_by_its_own_skill():
     library = SkillLibrary(config).eval()
     skill = torch.tensor([2, 0, 2, 1, 0])
     images, subgoal, proprio = torch.rand(5, 6, 32, 32), torch.rand(5, 32), torch.rand(5, 17)
-    actions, _ = library(skill, images, subgoal, proprio)
-    codes = library.encode_subgoals(skill, images[:, :3])
+    actions = library(skill, images, subgoal, proprio)
+    codes = library.encode_goals(skill, images[:, :3])
     for row, k in enumerate(skill.tolist()):
         one = slice(row, row + 1)
-        torch.testing.assert_close(actions[one], library.skills[k](images[one], subgoal[one], proprio[one])[0])
+        torch.testing.assert_close(actions[one], library.skills[k](images[one], subgoal[one], proprio[one]))
         torch.testing.assert_close(codes[one], library.skills[k].subgoal_encoder(images[one, :3]))
 
 
@@ -113,20 +124,20 @@ def test_subgoal_targets_use_running_statistics_and_leave_them_alone():
     config = paper_config(encoder="conv", norm="batch", image_size=32, conv_channels=[8, 8])
     library = SkillLibrary(config).train()
     skill, goals = torch.zeros(4, dtype=torch.int64), torch.rand(4, 3, 32, 32)
-    library.encode_subgoals(skill, goals)
+    library.encode_goals(skill, goals)
     before = {k: v.clone() for k, v in library.state_dict().items()}
     targets = library.subgoal_targets(skill, goals)
     assert library.training and not targets.requires_grad
     assert all(torch.equal(v, before[k]) for k, v in library.state_dict().items())
     # In eval mode the other rows of the batch do not matter.
     torch.testing.assert_close(library.subgoal_targets(skill[:1], goals[:1]), targets[:1])
-    assert not torch.allclose(library.encode_subgoals(skill, goals), targets)
+    assert not torch.allclose(library.encode_goals(skill, goals), targets)
 
 
 def test_meta_losses_learn_separable_skills():
     torch.manual_seed(0)
-    config = paper_config(encoder="conv", norm="group", image_size=32, conv_channels=[8, 8], n_skills=2)
-    meta, task = MetaController(config, n_tasks=0).train(), torch.zeros(8, dtype=torch.int64)
+    config = paper_config(encoder="conv", norm="group", image_size=32, conv_channels=[8, 8], n_skills=2, meta_proprioception=False)
+    meta = meta_controller(config).train()
     optimizer = torch.optim.Adam(meta.parameters(), lr=3e-3)
     skill = torch.arange(8) % 2
     images = torch.zeros(8, 3, 32, 32)
@@ -134,7 +145,7 @@ def test_meta_losses_learn_separable_skills():
     images[skill == 1, :, 16:] = 1
     subgoal = torch.randn(2, 32)[skill]
     for _ in range(60):
-        losses, _ = meta.losses(images, task, skill, subgoal)
+        losses, _ = meta.losses(situation(images), skill, subgoal)
         optimizer.zero_grad()
         (losses.skill_id_loss + losses.subgoal_loss + 1e-4 * losses.kl_loss).mean().backward()
         optimizer.step()
@@ -145,9 +156,9 @@ def test_meta_losses_learn_separable_skills():
 
 @pytest.mark.parametrize("norm", ["batch", "group"])
 def test_resnets_train_on_a_single_sample(norm):
-    config = paper_config(norm=norm, image_size=64, n_skills=1)
+    config = paper_config(norm=norm, image_size=64, n_skills=1, meta_proprioception=False)
     images, skill = torch.rand(1, 6, 64, 64), torch.zeros(1, dtype=torch.int64)
-    library, meta = SkillLibrary(config).train(), MetaController(config, n_tasks=0).train()
-    subgoal = library.encode_subgoals(skill, images[:, :3])
-    assert library(skill, images, subgoal, torch.rand(1, 17))[0].shape == (1, 1, 4)
-    assert torch.isfinite(meta.losses(images[:, :3], skill, skill, subgoal.detach())[0].subgoal_loss)
+    library, meta = SkillLibrary(config).train(), meta_controller(config).train()
+    subgoal = library.encode_goals(skill, images[:, :3])
+    assert library(skill, images, subgoal, torch.rand(1, 17)).shape == (1, 1, 4)
+    assert torch.isfinite(meta.losses(situation(images[:, :3]), skill, subgoal.detach())[0].subgoal_loss)

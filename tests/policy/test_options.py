@@ -9,8 +9,10 @@ import pytest
 import torch
 
 from lerobot_buds.core import ACTION, CheckpointError, ConfigError
+from lerobot_buds.policy.inputs import read_actions, read_inputs
+from lerobot_buds.policy.labels import Labels
+from lerobot_buds.policy.meta_controller import Situation
 from lerobot_buds.policy.modeling_buds import BudsPolicy
-from lerobot_buds.policy.rollout import UNDECIDED, Rollout, choose_skills
 
 OPTIONS = [
     {},
@@ -20,12 +22,25 @@ OPTIONS = [
     {"shared_trunk": True},
     {"shared_trunk": True, "skills": "flat"},
     {"chunk_size": 3},
-    {"termination": True, "switch_margin": 0.2},
+    {"chunk_size": 3, "n_action_steps": 2},
+    {"heads": "residual"},
+    {"heads": "residual", "shared_trunk": True, "skills": "single"},
+    {"shared_trunk": True, "meta_trunk": "skills"},
+    {"subgoal_space": "latent"},
+    {"skill_memory": False, "meta_proprioception": False, "boundary_overlap_s": 0.0},
+    {"skills": "flat", "tasks": ["Close the drawer", "Boil the pot"]},
     {"meta_controllers": "conditioned", "tasks": ["Close the drawer", "Boil the pot"]},
     {"meta_cameras": "all", "decoder_sees_skill": False, "drawn_subgoals": True},
     {"balance_skills": True},
     {"history_dims": [], "current_dims": []},
 ]
+
+
+def situation(images, task):
+    """What a meta controller that has no memory yet decides from; proprioception of the small policies."""
+    rows = len(images)
+    memory, remembers = torch.zeros(rows, 5), torch.zeros(rows, 1, dtype=torch.bool)
+    return Situation(images, torch.zeros(rows, 12), memory, remembers, task)
 
 
 @pytest.fixture
@@ -56,7 +71,6 @@ def test_options_train_are_saved_and_act(build, batch, options, tmp_path):
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        policy.update()
         losses.append(loss.item())
     assert all(p.grad is not None for p in policy.parameters())
     assert all(math.isfinite(loss) for loss in losses) and losses[-1] < losses[0]
@@ -67,7 +81,6 @@ def test_options_train_are_saved_and_act(build, batch, options, tmp_path):
     policy.eval()
     policy.save_pretrained(tmp_path)
     again = BudsPolicy.from_pretrained(tmp_path)
-    assert int(again.trained_steps) == 12
     observation = {k: v[:2] for k, v in data.items() if k.startswith("observation") or k == "task"}
     for _ in range(7):
         noise = torch.randn(2, 4)
@@ -78,7 +91,7 @@ def test_options_train_are_saved_and_act(build, batch, options, tmp_path):
 
 def test_a_flat_policy_needs_no_segmentation_and_decides_nothing(build, batch, dataset_root, tmp_path, meta):
     policy = build(skills="flat")
-    assert policy.meta_controllers is None and policy.config.segmentation is None
+    assert policy.model.meta_controllers is None and policy.config.segmentation is None
     assert set(policy(batch(policy))[1]) == {"skill_loss", "action_error"}
     assert [group["name"] for group in policy.get_optim_params()] == ["skills"]
     observation = {k: v[:1] for k, v in batch(policy).items() if k.startswith("observation")}
@@ -128,10 +141,10 @@ def test_every_encoder_is_compiled_whole_and_computes_the_same(build, batch, mon
 def test_a_shared_trunk_is_run_once_for_all_skills(build, batch):
     policy = build(shared_trunk=True)
     runs = []
-    policy.skills.image_trunk.register_forward_hook(lambda *_: runs.append(1))
+    policy.model.skills.image_trunk.register_forward_hook(lambda *_: runs.append(1))
     policy(batch(policy))
     assert len(runs) == 1
-    assert sum(p.numel() for p in policy.skills.parameters()) < sum(p.numel() for p in build().skills.parameters())
+    assert sum(p.numel() for p in policy.model.skills.parameters()) < sum(p.numel() for p in build().model.skills.parameters())
 
 
 def test_padded_actions_have_no_weight(build, batch):
@@ -150,50 +163,19 @@ def test_balanced_skills_weigh_the_same(build, batch):
         per_frame = policy(batch(policy), reduction="none")[0]
         assert per_frame.shape == (30,)
     policy = build().eval()
-    labels = policy._label_table()
-    images, state, _ = policy._inputs(batch(policy))
-    labels.goals.recognise(torch.arange(30), images[:, :3])
-    rows = labels.lookup(torch.arange(30))
-    plain = policy._skill_terms(batch(policy), rows, images, state, policy._encoded_goals(rows)[0])["skill_loss"]
+    data = batch(policy)
+    rows = Labels.of(data)
+    plain = policy.model(read_inputs(policy.config, data), rows, read_actions(policy.config, data), None)["skill_loss"]
     by_skill = [plain[rows.skill == k].mean().item() for k in (0, 1)]
     assert losses[False] == pytest.approx(plain.mean().item())
     assert losses[True] == pytest.approx(np.mean(by_skill))
 
 
-def test_overlapping_predictions_are_averaged_as_in_act():
-    n, decay = 4, 0.3
-    rng = np.random.default_rng(0)
-    chunks = rng.normal(size=(9, 1, n, 2)).astype(np.float32)
-    rollout = Rollout.start(torch.zeros(1, 0), 1, 1, (n, 2), skill=0)
-    for t, chunk in enumerate(chunks):
-        found = rollout.advance(torch.zeros(1, 0), torch.from_numpy(chunk), torch.ones(1, dtype=torch.bool), decay)
-        votes = [chunks[s, 0, t - s] for s in range(max(0, t - n + 1), t + 1)]  # oldest first
-        weights = np.exp(-decay * np.arange(len(votes)))
-        np.testing.assert_allclose(found[0], np.average(votes, axis=0, weights=weights), rtol=1e-5, atol=1e-6)
-
-
-def test_predictions_of_a_skill_that_is_left_are_forgotten():
-    rollout = Rollout.start(torch.zeros(2, 0), 1, 1, (3, 1), skill=0)
-    ended = torch.ones(2, dtype=torch.bool)
-    rollout.advance(torch.zeros(2, 0), torch.ones(2, 3, 1), ended, 0.0)
-    rollout.decide(torch.ones(2, dtype=torch.bool), torch.tensor([0, 1]), torch.zeros(2, 1), 5)
-    action = rollout.advance(torch.zeros(2, 0), torch.zeros(2, 3, 1), ended, 0.0)
-    assert action.tolist() == [[0.5], [0.0]]
-
-
-def test_a_skill_is_kept_until_another_is_better_by_the_margin_and_it_has_ended():
-    logits = torch.tensor([[0.6, 0.4], [0.4, 0.6], [0.1, 0.9], [0.1, 0.9], [0.4, 0.6]]).log()
-    held = torch.tensor([0, 0, 0, 0, UNDECIDED])
-    ended = torch.tensor([True, True, True, False, False])
-    assert choose_skills(logits, held, ended, margin=0.5).tolist() == [0, 0, 1, 0, 1]
-    assert choose_skills(logits, held, ended, margin=0.0).tolist() == [0, 1, 1, 0, 1]
-
-
 def test_a_decoder_that_sees_the_skill_imagines_for_it(build, batch):
     for sees in (False, True):
-        meta = build(decoder_sees_skill=sees).meta_controllers
+        meta = build(decoder_sees_skill=sees).model.meta_controllers
         task = torch.zeros(1, dtype=torch.int64)
-        feature, _ = meta.propose(torch.rand(1, 3, 32, 32), task)
+        feature, _ = meta.propose(situation(torch.rand(1, 3, 32, 32), task))
         subgoals = [meta.imagine(feature, task, torch.tensor([k]), torch.zeros(1, 4)) for k in (0, 1)]
         assert torch.equal(*subgoals) is not sees
 
@@ -202,42 +184,18 @@ def test_a_decoder_that_sees_the_skill_imagines_for_it(build, batch):
 def test_every_task_has_decisions_of_its_own(build, batch, kind):
     tasks = ["Close the drawer", "Boil the pot"]
     policy = build(meta_controllers=kind, tasks=tasks)
-    assert len(policy.meta_controllers.controllers) == (2 if kind == "per_task" else 1)
+    assert len(policy.model.meta_controllers.controllers) == (2 if kind == "per_task" else 1)
     image = torch.rand(1, 3, 32, 32)
-    together = policy.meta_controllers.propose(image.expand(2, -1, -1, -1), torch.tensor([1, 0]))[1]
+    propose = policy.model.meta_controllers.propose
+    together = propose(situation(image.expand(2, -1, -1, -1), torch.tensor([1, 0])))[1]
     for row, task in enumerate((1, 0)):
-        alone = policy.meta_controllers.propose(image, torch.tensor([task]))[1]
+        alone = propose(situation(image, torch.tensor([task])))[1]
         torch.testing.assert_close(together[row : row + 1], alone)
     assert not torch.allclose(together[0], together[1])
     observation = {k: v[:2] for k, v in batch(policy).items() if k.startswith("observation")}
     policy.select_action({**observation, "task": tasks})
     with pytest.raises(ConfigError, match=r"'Boil the pott'.*Did you mean 'Boil the pot'"):
         policy.select_action({**observation, "task": ["Close the drawer", "Boil the pott"]})
-
-
-def test_skills_first_then_meta_controllers(build, batch):
-    policy = build(schedule="sequential", skill_steps=2, norm="batch", optimizer_lr=1e-2).train()
-    assert policy.config.get_scheduler_preset() is None
-    optimizer = policy.config.get_optimizer_preset().build(policy.get_optim_params())
-    data, keys = batch(policy), set()
-    for step in range(4):
-        before = {name: value.clone() for name, value in policy.state_dict().items()}
-        policy.train()
-        loss, metrics = policy(data)
-        keys.add(tuple(metrics))
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        policy.update()
-        moved = {n.split(".")[0] for n, v in policy.state_dict().items() if not torch.equal(v, before[n])}
-        # Not even the batch statistics of the idle part move.
-        assert moved == {"trained_steps", "skills" if step < 2 else "meta_controllers"}
-        assert (metrics["skill_loss"] > 0) == (step < 2) and (metrics["subgoal_loss"] > 0) == (step >= 2)
-    assert len(keys) == 1
-    # Kept targets are what the finished encoders say.
-    policy.eval()
-    labels = policy._label_table().lookup(torch.arange(30))
-    torch.testing.assert_close(policy._targets.lookup(torch.arange(30), None), policy._encoded_goals(labels)[1])
 
 
 @pytest.fixture
@@ -263,18 +221,48 @@ def test_only_a_meta_controller_is_trained_on_skills_of_a_library(build, batch, 
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-    skills = policy.skills.state_dict()
-    assert all(torch.equal(value, skills[name]) for name, value in source.skills.state_dict().items())
+    skills = policy.model.skills.state_dict()
+    assert all(torch.equal(value, skills[name]) for name, value in source.model.skills.state_dict().items())
     assert not any(
         torch.equal(a, b)
-        for a, b in zip(policy.meta_controllers.parameters(), source.meta_controllers.parameters(), strict=True)
+        for a, b in zip(policy.model.meta_controllers.parameters(), source.model.meta_controllers.parameters(), strict=True)
     )
     policy.save_pretrained(tmp_path / "new")
     for file in library.iterdir():
         file.unlink()
     again = BudsPolicy.from_pretrained(tmp_path / "new")  # the library is not needed any more
-    assert torch.equal(again.proprioception.mean, source.proprioception.mean)
-    assert not any(p.requires_grad for p in again.skills.parameters())
+    assert torch.equal(again.model.proprioception.mean, source.model.proprioception.mean)
+    assert not any(p.requires_grad for p in again.model.skills.parameters())
+
+
+@pytest.mark.parametrize("space", ["image", "latent"])
+def test_skills_of_a_library_act_as_they_did(build, batch, tmp_path, space):
+    """Given the same decisions; a library of latent goals brings its scaling of them."""
+    source = build(subgoal_space=space, chunk_size=3, heads="residual")
+    if space == "latent":
+        source.model.goals.std.mul_(2)
+    source.save_pretrained(tmp_path)
+    policy = build(skills_path=str(tmp_path), chunk_size=2)
+    assert policy.config.subgoal_space == space and policy.config.chunk_size == 3
+    labels, seen = Labels.of(batch(policy)), read_inputs(policy.config, batch(policy))
+    outputs = []
+    for model in (source.model.eval(), policy.model.eval()):
+        maps, proprio = model.encode(seen, labels.history)
+        subgoal, _ = model.encode_goals(labels.skill, labels.goal)
+        outputs.append(model.act(seen, maps, proprio, labels.skill, subgoal))
+    assert torch.equal(*outputs)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"chunk_size": 3, "n_action_steps": 3}, "n_action_steps=3 is more than chunk_size=1"),
+        ({"shared_trunk": True, "meta_trunk": "skills"}, "needs shared_trunk"),
+    ],
+)
+def test_settings_that_do_not_fit_the_library_are_refused(build, library, settings, message):
+    with pytest.raises(ConfigError, match=message):
+        build(skills_path=str(library), **settings)
 
 
 def test_libraries_that_do_not_fit_are_refused(build, library, tmp_path):
@@ -312,9 +300,14 @@ def test_libraries_that_do_not_fit_are_refused(build, library, tmp_path):
     ("wrong", "message"),
     [
         ({"skills": "segment"}, "Did you mean 'segments'"),
-        ({"schedule": "sequential"}, "needs skill_steps"),
         ({"chunk_size": 0}, "chunk_size=0"),
-        ({"switch_margin": -0.1}, "switch_margin=-0.1"),
+        ({"n_action_steps": 2}, "n_action_steps=2 is more than chunk_size=1"),
+        ({"boundary_overlap_s": -0.1}, "boundary_overlap_s=-0.1"),
+        ({"memory_dropout": 1.1}, "memory_dropout=1.1"),
+        ({"heads": "residul"}, "Did you mean 'residual'"),
+        ({"subgoal_space": "latents"}, "Did you mean 'latent'"),
+        ({"subgoal_space": "latent", "skills": "single"}, "'single' has none"),
+        ({"meta_trunk": "skills"}, "needs shared_trunk"),
         ({"skills": "flat", "skills_path": "x"}, "no meta controller to train"),
     ],
 )

@@ -22,7 +22,7 @@ from lerobot_buds.core import (
 )
 from lerobot_buds.envs import PROFILES
 from lerobot_buds.policy import BudsConfig
-from lerobot_buds.policy.settling import _check_depth, check_observation, settle_state, state_names, task_number
+from lerobot_buds.policy.fitting import _check_depth, check_observation, choose_state, state_names, task_number
 
 
 def config_of(**overrides):
@@ -78,7 +78,7 @@ def test_state_dimensions_by_name(names, patterns, current, history, caplog):
     features = {**config_of().input_features, STATE: PolicyFeature(type=FeatureType.STATE, shape=(len(names) or 3,))}
     config = config_of(input_features=features, state_names=list(names), **patterns)
     with caplog.at_level("INFO", logger="lerobot_buds"):
-        settle_state(config)
+        choose_state(config)
     assert (config.current_dims, config.history_dims) == (current, history)
     unread = [name for d, name in enumerate(names or ["0", "1", "2"]) if d not in {*current, *history}]
     assert f"do not read {unread}" in caplog.text
@@ -86,7 +86,7 @@ def test_state_dimensions_by_name(names, patterns, current, history, caplog):
 
 def test_patterns_that_match_nothing_are_refused():
     with pytest.raises(ConfigError, match=r"current_state: '\*joint\*' matches no dimension.*'shoulder_pan.pos'"):
-        settle_state(config_of(state_names=SO101, current_state=["*joint*", "gripper*"]))
+        choose_state(config_of(state_names=SO101, current_state=["*joint*", "gripper*"]))
 
 
 def test_state_names_in_all_of_lerobots_spellings():
