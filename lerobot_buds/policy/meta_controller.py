@@ -13,6 +13,9 @@ from .networks import by_group, make_keypoint_encoder, make_mlp, make_pooled_enc
 MEMORY_WIDTH = 128
 """Hidden units of the network that reads the memory (ours)."""
 
+MEMORY_SAY = 2.0
+"""Most that the memory adds to a logit (ours): it settles what the eyes leave open, and does not overrule them."""
+
 
 @dataclass(frozen=True)
 class Situation:
@@ -153,7 +156,7 @@ class MetaController(nn.Module):
         feature = torch.cat(parts, dim=1)
         logits = self.id_head(feature)
         if self.memory_head is not None:
-            logits = logits + self.memory_head(situation.memory) * situation.remembers
+            logits = logits + MEMORY_SAY * torch.tanh(self.memory_head(situation.memory)) * situation.remembers
         return feature, logits
 
     def imagine(self, feature: Tensor, skill: Tensor, latent: Tensor) -> Tensor:
