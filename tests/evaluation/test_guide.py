@@ -104,7 +104,7 @@ def test_the_demonstrations_subgoal_is_encoded_in_the_space_of_their_skill(
     goal = torch.from_numpy(np.array(cached_frames(segmented, f"{IMAGE_PREFIX}agentview")[subgoal_index[[index]]]))
     goal = scale_images(goal.float() / 255, policy.policy.config.image_shape)
     with torch.no_grad():
-        expected = policy.policy.skills.encode_subgoals(skills[:1], goal)
+        expected = policy.policy.model.skills.encode_goals(skills[:1], goal)
     torch.testing.assert_close(subgoals[:1], expected)
 
 
@@ -160,7 +160,7 @@ def test_a_policy_that_was_trained_with_renamed_cameras_is_guided(
             text = text.replace(old, new)
         path.write_text(text)
     processor = read_json(copy / "policy_preprocessor.json")
-    (step,) = [step for step in processor["steps"] if step["registry_name"] == "rename_observations_processor"]
+    (step,) = [step for step in processor["steps"] if step.get("registry_name") == "rename_observations_processor"]
     step["config"]["rename_map"] = names
     write_json(copy / "policy_preprocessor.json", processor)
     renamed = load_checkpoint(str(copy), ENV, TASK)
