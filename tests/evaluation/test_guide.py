@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from lerobot.datasets import LeRobotDatasetMetadata
+from lerobot.policies import make_policy
 
 from lerobot_buds.core import IMAGE_PREFIX, STATE, TRUE_STAGE, CheckpointError, DatasetError, read_json, write_json
 from lerobot_buds.data import cached_frames, read_table, scale_images
@@ -16,6 +18,7 @@ from lerobot_buds.evaluation import guide as guide_module
 from lerobot_buds.evaluation.checkpoint import Checkpoint, load_checkpoint
 from lerobot_buds.evaluation.episodes import Decider, EpisodeRecorder
 from lerobot_buds.evaluation.guide import Advice, Guide
+from lerobot_buds.policy import BudsConfig
 from lerobot_buds.segmentation import load_labels
 
 TASK = TASKS["multitask_kitchen/task3_variant1"]
@@ -104,8 +107,24 @@ def test_the_demonstrations_subgoal_is_encoded_in_the_space_of_their_skill(
     goal = torch.from_numpy(np.array(cached_frames(segmented, f"{IMAGE_PREFIX}agentview")[subgoal_index[[index]]]))
     goal = scale_images(goal.float() / 255, policy.policy.config.image_shape)
     with torch.no_grad():
-        expected = policy.policy.skills.encode_subgoals(skills[:1], goal)
+        expected = policy.policy.model.skills.encode_goals(skills[:1], goal)
     torch.testing.assert_close(subgoals[:1], expected)
+
+
+def test_latent_subgoals_of_demonstrations_are_standardised(segmented, small, guide, observe) -> None:
+    index = 20
+    meta = LeRobotDatasetMetadata("tests/x", root=segmented)
+    latent = make_policy(BudsConfig(**small, subgoal_space="latent"), ds_meta=meta)
+    checkpoint = Checkpoint(latent, dict, lambda action: action, "")
+    alone = Guide.open(segmented, TASK, latent.config, neighbors=1)
+    assert alone.goals.shape == guide.frames.latents.shape
+    _, labels, subgoal_index = load_labels(segmented)
+    _, skills, subgoals = decide(
+        checkpoint, alone, observe(index, index), 0, skills_from="demonstrations", subgoals_from="demonstrations"
+    )
+    assert skills[0] == labels[index]
+    goal = torch.from_numpy(guide.frames.latents[subgoal_index[[index]]].astype(np.float32))
+    torch.testing.assert_close(subgoals[:1], (goal - latent.model.goals.mean) / latent.model.goals.std)
 
 
 def test_other_labels_and_other_tasks_are_refused(segmented: Path, policy: Checkpoint) -> None:
@@ -160,7 +179,7 @@ def test_a_policy_that_was_trained_with_renamed_cameras_is_guided(
             text = text.replace(old, new)
         path.write_text(text)
     processor = read_json(copy / "policy_preprocessor.json")
-    (step,) = [step for step in processor["steps"] if step["registry_name"] == "rename_observations_processor"]
+    (step,) = [step for step in processor["steps"] if step.get("registry_name") == "rename_observations_processor"]
     step["config"]["rename_map"] = names
     write_json(copy / "policy_preprocessor.json", processor)
     renamed = load_checkpoint(str(copy), ENV, TASK)

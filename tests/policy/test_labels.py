@@ -1,5 +1,7 @@
 """What the dataset says about its frames: skills, goals, what is beside them, and what came before."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -159,12 +161,12 @@ def test_a_rollout_that_does_what_the_labels_say_remembers_what_they_say(labelle
     model.decide = lambda situation, noise: (torch.zeros(1, dtype=torch.int64), torch.zeros(1, 4))
     model.act = lambda *_: torch.zeros(1, 1, 4)
 
-    def as_labelled(rows, skill, subgoal):
+    def as_labelled(t, wanted, rows, skill, subgoal):
         seen.append((t, rollout.skill.clone(), rollout.held_for.clone(), rollout.finished.clone()))
-        return torch.tensor([LONG[t]]), subgoal
+        return torch.tensor([wanted]), subgoal
 
-    for t in range(len(LONG)):
-        rollout.step(model, frame, override=as_labelled)
+    for t, wanted in enumerate(LONG):
+        rollout.step(model, frame, override=partial(as_labelled, t, wanted))
     assert [t for t, *_ in seen] == list(range(0, 39, PERIOD))
     for t, *remembered in seen:
         found = table.lookup(torch.tensor([t]), {})

@@ -136,7 +136,9 @@ def test_subgoal_targets_use_running_statistics_and_leave_them_alone():
 
 def test_meta_losses_learn_separable_skills():
     torch.manual_seed(0)
-    config = paper_config(encoder="conv", norm="group", image_size=32, conv_channels=[8, 8], n_skills=2, meta_proprioception=False)
+    config = paper_config(
+        encoder="conv", norm="group", image_size=32, conv_channels=[8, 8], n_skills=2, meta_proprioception=False
+    )
     meta = meta_controller(config).train()
     optimizer = torch.optim.Adam(meta.parameters(), lr=3e-3)
     skill = torch.arange(8) % 2

@@ -144,7 +144,9 @@ def test_a_shared_trunk_is_run_once_for_all_skills(build, batch):
     policy.model.skills.image_trunk.register_forward_hook(lambda *_: runs.append(1))
     policy(batch(policy))
     assert len(runs) == 1
-    assert sum(p.numel() for p in policy.model.skills.parameters()) < sum(p.numel() for p in build().model.skills.parameters())
+    assert sum(p.numel() for p in policy.model.skills.parameters()) < sum(
+        p.numel() for p in build().model.skills.parameters()
+    )
 
 
 def test_padded_actions_have_no_weight(build, batch):
@@ -225,7 +227,9 @@ def test_only_a_meta_controller_is_trained_on_skills_of_a_library(build, batch, 
     assert all(torch.equal(value, skills[name]) for name, value in source.model.skills.state_dict().items())
     assert not any(
         torch.equal(a, b)
-        for a, b in zip(policy.model.meta_controllers.parameters(), source.model.meta_controllers.parameters(), strict=True)
+        for a, b in zip(
+            policy.model.meta_controllers.parameters(), source.model.meta_controllers.parameters(), strict=True
+        )
     )
     policy.save_pretrained(tmp_path / "new")
     for file in library.iterdir():
