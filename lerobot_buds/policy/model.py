@@ -103,17 +103,21 @@ class BudsModel(nn.Module):
             images = random_shift(observation.images, self.config.crop_padding)
             observation = Observation(images, observation.state, observation.task)
         skill, goal = self._drawn_beside_edges(labels)
+        acting = skill
         maps, proprio = self.encode(observation, labels.history)
         terms: dict[str, Tensor] = {}
         subgoal = imagined = proprio[:, :0]
         if self.meta_controllers is not None:
             subgoal, target = self.encode_goals(skill, goal)
+            acting = self._drawn_at_random(skill)
+            if self.skills.encodes_goals and acting is not skill:
+                subgoal, _ = self.encode_goals(acting, goal)
             situation = self.situation(observation, maps, proprio, labels.held, labels.held_for, labels.finished)
-            losses, imagined = self.meta_controllers.losses(situation, skill, target)
+            losses, imagined = self.meta_controllers.losses(situation, skill, target, acting)
             terms |= vars(losses) | {"subgoal_spread": spread_within(target, skill, self.config.n_skills or 1)}
         if self.config.skills_path is None or not self.training:
             outputs = self.skills(
-                skill, maps, self._as_in_rollouts(subgoal, imagined), self._told(proprio, observation)
+                acting, maps, self._as_in_rollouts(subgoal, imagined), self._told(proprio, observation)
             )
             errors, misses = self.actions.errors(outputs, actions), self.actions.misses(outputs, actions)  # (B, n)
             inside = torch.ones_like(errors) if is_padding is None else (~is_padding).to(errors)
@@ -191,6 +195,13 @@ class BudsModel(nn.Module):
         shape = (-1, *(1,) * (labels.goal.ndim - 1))
         goal = torch.where(beside.view(shape), labels.neighbour_goal, labels.goal)
         return torch.where(beside, labels.neighbour, labels.skill), goal
+
+    def _drawn_at_random(self, skill: Tensor) -> Tensor:
+        """Lets any skill act at some frames: one that was chosen wrongly then does what is right nevertheless."""
+        if not self.training or not self.config.skill_dropout:
+            return skill
+        replaced = torch.rand(len(skill), device=skill.device) < self.config.skill_dropout
+        return torch.where(replaced, torch.randint_like(skill, self.config.n_skills or 1), skill)
 
     def _as_in_rollouts(self, subgoal: Tensor, imagined: Tensor) -> Tensor:
         """Disturbs subgoals in training: some rows get what the meta controllers imagine, all get noise."""
