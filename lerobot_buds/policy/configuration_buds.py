@@ -105,7 +105,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
 
     # Meta controller
     meta_controllers: str = "per_task"  # one for each task (paper), or one that is "conditioned" on the task (ours)
-    meta_trunk: str = "own"  # (paper), or "skills": on top of their shared trunk, which it does not train (ours)
+    meta_trunk: str = "own"  # (paper), or "skills": on top of their shared trunk (ours)
     meta_cameras: str = "workspace"  # (paper) or "all"; with the skills' trunk all
     meta_proprioception: bool = True  # sees what the skills feel (ours; paper: images alone)
     skill_memory: bool = True  # knows the skill in force, since when, and those run before (ours; paper: not)

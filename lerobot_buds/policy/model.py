@@ -162,7 +162,7 @@ class BudsModel(nn.Module):
         if self.training:
             remembers = torch.rand(len(held), 1, device=held.device) >= config.memory_dropout
         return Situation(
-            images=maps.detach() if config.meta_trunk == "skills" else observation.images[:, : config.meta_channels],
+            images=maps if config.meta_trunk == "skills" else observation.images[:, : config.meta_channels],
             proprio=proprio if config.meta_proprioception else proprio[:, :0],
             memory=self.memory(held, held_for, finished),
             remembers=remembers,
