@@ -74,7 +74,8 @@ class BudsModel(nn.Module):
         self.actions = ActionCoding(config, found)
         self.proprioception = Proprioception(config, dataset_stats)
         self.skills = SkillLibrary(config)
-        self.goals = LatentGoals(config.subgoal_dim) if config.subgoal_space == "latent" else None
+        is_latent = config.has_subgoals and config.subgoal_space == "latent"
+        self.goals = LatentGoals(config.subgoal_dim) if is_latent else None
         if self.goals is not None and labels is not None:
             self.goals.fit(torch.from_numpy(labels.latents))
         self.meta_controllers: MetaControllers | None = None
