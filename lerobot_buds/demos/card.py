@@ -82,8 +82,8 @@ def _actions(record: dict[str, Any]) -> list[str]:
     if not record["clean_actions"]:
         return []
     return [
-        "Actions are what the script meant (`--clean_actions`). A tremor was executed on top of them, so that executing",
-        "them again does not repeat an episode.",
+        "Actions are what the script meant (`--clean_actions`). A tremor was executed on top of them, so that",
+        "executing them again does not repeat an episode.",
         "",
     ]
 
