@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from lerobot_buds.demos.kitchen import turn_on
 from lerobot_buds.demos.motions import Action, Demonstrator, MotionFailedError
 from lerobot_buds.demos.people import Person
 from lerobot_buds.demos.tool_use import hook_cube, pull_cube
-from lerobot_buds.demos.vocabulary import grasp, lift, persist, pick, push, release
+from lerobot_buds.demos.vocabulary import grasp, lift, persist, pick, push, release, up
 from lerobot_buds.envs import EnvSettings, RobosuiteEnv
 
 Vec = NDArray[np.float64]
@@ -53,9 +54,11 @@ class Table:
             self.held = self.held and action[3] > 0
             closed = action[3]
             self.hand = self.hand + step
-            if self.held or (self.dragged and self.hooked()):
+            if self.held:
                 self.block = self.block + step
-            pad = self.block + (0.0, 0.0, 0.08)
+            elif self.dragged and self.hooked():
+                self.block = self.block + np.array([min(step[0], 0.0), 0.0, 0.0])
+            pad = self.block + up(0.08)
             if np.abs(self.hand - pad)[[0, 2]].max() < 0.04 and self.hand[1] > pad[1] - 0.03:
                 self.lever = 0.2
             self.path.append(self.hand)
@@ -103,10 +106,10 @@ def test_a_hook_that_missed_is_lifted_and_lowered_again(seed: int) -> None:
     lowered = np.flatnonzero(np.diff(low.astype(int), prepend=0) == 1)
     assert len(lowered) == 3 and table.demonstrator.retries == 2
     assert table.hooked()
-    raised = [path[start:end, 2].max() for start, end in zip(lowered[:-1], lowered[1:], strict=True)]
+    raised = [path[start:end, 2].max() for start, end in pairwise(lowered)]
     assert min(raised) > 0.97
     # What was lowered elsewhere was not behind the cube.
-    for start, end in zip(lowered[:-1], lowered[1:], strict=True):
+    for start, end in pairwise(lowered):
         table.hand = path[start:end][low[start:end]][-1]
         assert not table.hooked()
 
@@ -148,7 +151,7 @@ def test_what_stays_where_it_is_is_grasped_again_by_people_alone() -> None:
         table = Table(who, grips=2)
         if who is Person:
             never_missing(table.demonstrator)
-        table.run(pick(table.demonstrator, lambda: table.block, 0.1))
+        table.run(pick(table.demonstrator, lambda table=table: table.block, 0.1))
         assert table.demonstrator.retries == retries
         assert table.held == (who is Person)
 
@@ -165,7 +168,7 @@ def test_a_push_that_slips_passes_over_the_lever_and_is_done_again(seed: int) ->
     never_missing(table.demonstrator, slip=1.0)
     path = table.run(turn_on(table.demonstrator))
     assert table.demonstrator.retries == 1 and table.lever > 0.12
-    pad = table.block + (0.0, 0.0, 0.08)
+    pad = table.block + up(0.08)
     before = int(np.argmax(path[:, 1] < pad[1] - 0.08))
     passed = before + int(np.argmax(path[before:, 1] > pad[1]))
     assert path[passed, 2] > pad[2] + 0.04
@@ -212,7 +215,7 @@ def test_the_intention_is_the_action_without_the_tremor(who: type[Demonstrator])
 
 
 def test_an_unknown_manner_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no manner 'peple'. Did you mean 'people'"):
+    with pytest.raises(ConfigError, match=r"no manner 'peple'. Did you mean 'people'"):
         Style("peple")
 
 
