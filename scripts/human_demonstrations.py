@@ -151,7 +151,7 @@ def truths(name: str, assets: Path, root: Path) -> list[Episode]:
     """Reads what the person did in every episode: the gripper's commands, and how high things were lifted."""
     table = read_table(root, [ACTION])
     bounds = list(zip(table.starts.tolist(), table.ends.tolist(), strict=True))
-    closed = [(table.columns[ACTION][start:end, -1] > _open_command(name)).astype(np.int64) for start, end in bounds]
+    closed = [(table.columns[ACTION][start:end, -1] > open_command(name)).astype(np.int64) for start, end in bounds]
     with open_demonstrations(source_of(RECORDINGS[name], assets)) as demonstrations:
         assert isinstance(demonstrations, PlayedDemonstrations)
         things = [demonstrations.bodies(episode) for episode in demonstrations.lengths]
@@ -162,7 +162,7 @@ def truths(name: str, assets: Path, root: Path) -> list[Episode]:
     ]
 
 
-def _open_command(name: str) -> float:
+def open_command(name: str) -> float:
     """Tells the gripper's command above which it closes: -1 opens; 1 (Panda) or 0 (Sawyer) closes."""
     return 0.0 if name.startswith("panda") else -0.5
 

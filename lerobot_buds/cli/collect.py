@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_buds.core import ConfigError
-from lerobot_buds.demos.attempts import attempt_in_worker
+from lerobot_buds.demos.attempts import Style, attempt_in_worker
 from lerobot_buds.demos.pictures import draw_attempt
 from lerobot_buds.demos.recording import Recording, Summary, record
 from lerobot_buds.envs import EnvSettings, profile_named, tasks_named
@@ -44,6 +44,12 @@ class CollectConfig:
     video: bool = True
     """Stores the cameras as video, else as images."""
 
+    manner: str = "scripted"
+    """How it is demonstrated: ``scripted``, or as ``people`` do it, who wait, miss, correct and try again."""
+
+    clean_actions: bool = False
+    """Records as actions what was meant, without the tremor that was executed with it."""
+
     preview: Path | None = None
     """Folder for one contact sheet a task, of one attempt each, to look at; nothing is recorded then."""
 
@@ -67,6 +73,7 @@ def collect(config: CollectConfig) -> Summary:
             seed=config.seed,
             workers=config.workers or len(os.sched_getaffinity(0)),
             video=config.video,
+            style=Style(config.manner, config.clean_actions),
         )
     )
 
@@ -95,10 +102,12 @@ def preview(config: CollectConfig, folder: Path) -> list[Path]:
         ConfigError: A setting cannot work.
         BudsError: An attempt failed.
     """
-    pictures = []
+    pictures, style = [], Style(config.manner, config.clean_actions)
     for settings in env_settings(config):
         pictures.append(folder / f"{settings.task.replace('/', '.')}.png")
-        draw_attempt(attempt_in_worker(settings, config.seed), tasks_named(settings.task)[0].stages, pictures[-1])
+        draw_attempt(
+            attempt_in_worker(settings, config.seed, style), tasks_named(settings.task)[0].stages, pictures[-1]
+        )
     return pictures
 
 

@@ -1,5 +1,6 @@
 """The card of a recorded dataset: what it holds and where it comes from, as the Hub shows it."""
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,8 @@ def _body(record: dict[str, Any], lengths: Sequence[int]) -> str:
             f"with human-like variety, not a person. {len(lengths)} episodes, {sum(lengths)} frames at {FPS} Hz,",
             f"cameras of {record['image_size']} pixels drawn with the profile `{record['render_profile']}`.",
             "",
+            *_manner(record),
+            *_actions(record),
             "| task | instruction | episodes | failed attempts | frames an episode: mean (range) | seeds |",
             "|---|---|---|---|---|---|",
             *rows,
@@ -59,6 +62,30 @@ def _body(record: dict[str, Any], lengths: Sequence[int]) -> str:
             "",
         ]
     )
+
+
+def _manner(record: dict[str, Any]) -> list[str]:
+    """Says what the manner `people` comes to; nothing where the demonstrator is the plain script."""
+    if record["manner"] == "scripted":
+        return []
+    stages = Counter(stage for task in record["tasks"] for episode in task["retries"] for stage in episode)
+    again = ", ".join(f"{stage} {count}" for stage, count in sorted(stages.items())) or "nothing"
+    return [
+        f"Manner `{record['manner']}`: the script waits, overshoots, misses, sees that and tries again, as people do.",
+        f"Missed and done again, by stage: {again}.",
+        "",
+    ]
+
+
+def _actions(record: dict[str, Any]) -> list[str]:
+    """Says where actions are not what was executed."""
+    if not record["clean_actions"]:
+        return []
+    return [
+        "Actions are what the script meant (`--clean_actions`). A tremor was executed on top of them, so that",
+        "executing them again does not repeat an episode.",
+        "",
+    ]
 
 
 def _row(task: dict[str, Any], lengths: NDArray[np.int64]) -> str:

@@ -5,9 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from .motions import Action, Demonstrator, Target, Vec
-from .vocabulary import Stage, draw_back, grasp, push, release, sweep, up
+from .vocabulary import Stage, draw_back, grasp, persist, push, release, sweep, up
 
 _HANDLE_BAR = np.array([0.0, -0.16, 0.04])  # in the drawer's frame (m)
+_HELD = 0.03  # further than this from the bar, a hand has lost it (m)
 
 
 def open_drawer(hand: Demonstrator) -> Iterator[Action]:
@@ -16,15 +17,28 @@ def open_drawer(hand: Demonstrator) -> Iterator[Action]:
     # Off the bar towards the hand, because the open fingers hardly fit between bar and front panel; and below it, so
     # that the pads, which reach higher than the fingertips, close on its middle and do not slip up.
     at_bar = _near_bar(hand, np.array([0.0, -0.008, -0.005]))
-    yield from grasp(hand, at_bar, spread=(0.02, 0.003, 0.002))
-    yield from sweep(hand, -_closing(hand), until=lambda: hand.state.joint("cabinet_slide") < wide, through=at_bar)
-    yield from release(hand, rise=0.08)
+    spread = hand.choose((0.02, 0.003, 0.002), (0.035, 0.003, 0.002))
+
+    def is_open() -> bool:
+        return hand.state.joint("cabinet_slide") < wide
+
+    def has_slipped() -> bool:
+        return bool(np.linalg.norm(hand.state.hand - at_bar()) > _HELD + spread[0])
+
+    def go() -> Iterator[Action]:
+        yield from grasp(hand, at_bar, spread)
+        until = hand.choose(is_open, lambda: is_open() or has_slipped())
+        yield from sweep(hand, -_closing(hand), until, through=at_bar)
+        yield from release(hand, rise=0.08)
+
+    yield from persist(hand, go, is_open)
 
 
 def close_drawer(hand: Demonstrator) -> Iterator[Action]:
     """Pushes the open drawer shut with the closed hand, then draws back from it."""
     # The bar is 18 mm thick, the fingers end 9 mm below the hand's point: too high, and they pass over it.
-    before = np.array([0.0, -0.07, -0.004]) + hand.jitter(0.01) * (1.0, 1.0, 0.3)
+    spread = hand.choose((1.0, 1.0, 0.3), (3.0, 1.5, 0.3))
+    before = np.array([0.0, -0.07, -0.004]) + hand.jitter(0.01) * spread
     along = _closing(hand)
     yield from push(
         hand,

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from .motions import Action, Demonstrator, Vec
-from .vocabulary import Stage, carry, grasp, lift, release
+from .vocabulary import Stage, carry, pick, release
 
 _FRONT_PANEL = np.array([0.0, -0.085, 0.0])  # its inner face, in the drawer's frame (m)
 _TOP_EDGE = np.array([0.0, -0.092, 0.0])  # front edge of the cabinet's top, in the cabinet's frame (m)
@@ -14,8 +14,8 @@ _RELEASE_HEIGHT = 1.047  # the opening fingers clear the front panel (m)
 
 def grasp_hammer(hand: Demonstrator) -> Iterator[Action]:
     """Grasps the hammer's handle from above and lifts it higher than the cabinet."""
-    yield from grasp(hand, lambda: hand.state.position("hammer_main"), spread=(0.005, 0.003, 0.002))
-    yield from lift(hand, 0.17)
+    spread = hand.choose((0.005, 0.003, 0.002), (0.009, 0.003, 0.003))
+    yield from pick(hand, lambda: hand.state.position("hammer_main"), 0.17, spread)
 
 
 def put_hammer_in_drawer(hand: Demonstrator) -> Iterator[Action]:

@@ -9,13 +9,16 @@ import numpy as np
 
 from .motions import Action, Demonstrator, Target, Vec
 from .tool_use import grasp_cube, put_cube_in_pot
-from .vocabulary import Stage, carry, draw_back, grasp, lift, push, release, up
+from .vocabulary import Stage, carry, draw_back, lift, pick, push, release, up
 
 _PAD = np.array([0.0, 0.0, 0.08])  # in the switch's frame
 # In the pot's frame: the handle away from the cabinet, whose own handle would stop the hand, 6 mm below the bar's
 # centre, where the pot tilts least.
 _POT_HANDLE = np.array([0.0, 0.06, 0.071])
+_OTHER_HANDLE = _POT_HANDLE * (1.0, -1.0, 1.0)
+_NO_CABINET = -0.1  # a pot further right than this (m, y) stands in the kitchen that has no cabinet
 _LEVER_TURNED = 0.12  # rad
+_OVER_LEVER = 0.058  # a closed hand that is this much too high passes over the pad (m)
 _PUSH_HEIGHT = 0.935
 _POT_ON_STOVE = 0.026  # the pot's origin above the stove's
 _POT_ON_TABLE = 0.9045
@@ -59,7 +62,11 @@ def push_pot(hand: Demonstrator) -> Iterator[Action]:
     """Goes behind the pot and pushes it away from the robot into the serving region with the closed hand."""
     state = hand.state
     # Left of the pot's middle: further right, the palm would come down on the handle of a cabinet's drawer.
-    offset = hand.rng.uniform((-0.008, 0.004, -0.004), (0.008, 0.020, 0.004))
+    right = -0.015 if state.position("pot_main")[1] < _NO_CABINET else 0.004
+    corners = hand.choose(
+        ((-0.008, 0.004, -0.004), (0.008, 0.020, 0.004)), ((-0.030, right, -0.008), (0.008, 0.025, 0.012))
+    )
+    offset = hand.rng.uniform(*corners)
     stop = state.position("serving_region_main")[0] - hand.rng.uniform(0.0, 0.03)
 
     def behind_pot() -> Vec:
@@ -74,7 +81,7 @@ def push_pot(hand: Demonstrator) -> Iterator[Action]:
 
 
 def move_pot(hand: Demonstrator, goal: Target, aim: Sequence[float] = (0.008, 0.008, 0.0)) -> Iterator[Action]:
-    """Carries the pot by its left handle and sets it down.
+    """Carries the pot by its left handle, or by either where no cabinet stands in the way, and sets it down.
 
     Args:
         hand: The hand.
@@ -83,8 +90,11 @@ def move_pot(hand: Demonstrator, goal: Target, aim: Sequence[float] = (0.008, 0.
     """
     state = hand.state
     off = hand.rng.uniform(-1.0, 1.0, 3) * aim
-    yield from grasp(hand, lambda: state.point_on("pot_main", _POT_HANDLE), spread=(0.006, 0.001, 0.0015))
-    yield from lift(hand, 0.06)
+    handle = _POT_HANDLE
+    if hand.choose(False, state.position("pot_main")[1] < _NO_CABINET) and hand.rng.random() < 0.5:
+        handle = _OTHER_HANDLE
+    spread = hand.choose((0.006, 0.001, 0.0015), (0.010, 0.001, 0.0025))
+    yield from pick(hand, lambda: state.point_on("pot_main", handle), 0.06, spread)
     height = hand.rng.uniform(0.05, 0.07)
     yield from carry(hand, "pot_main", lambda: goal() + off + up(height), tolerance=0.015)
     yield from carry(hand, "pot_main", lambda: goal() + off, tolerance=0.008)
@@ -93,7 +103,7 @@ def move_pot(hand: Demonstrator, goal: Target, aim: Sequence[float] = (0.008, 0.
 
 def _turn_lever(hand: Demonstrator, side: float) -> Iterator[Action]:
     state = hand.state
-    before = np.array([0.0, -0.11 * side, 0.005]) + hand.jitter(0.008) * (1.0, 1.0, 0.5)
+    before = np.array([0.0, -0.11 * side, 0.005]) + hand.jitter(0.008) * hand.choose((1.0, 1.0, 0.5), (2.0, 2.5, 1.2))
 
     def before_pad() -> Vec:
         pad: Vec = state.point_on("button_switch", _PAD) + before
@@ -105,6 +115,7 @@ def _turn_lever(hand: Demonstrator, side: float) -> Iterator[Action]:
         (0.0, side, 0.0),
         until=lambda: side * state.joint("button_hinge") > _LEVER_TURNED,
         hover=(0.06, 0.10),
+        over=_OVER_LEVER,
     )
     yield from draw_back(hand, (-0.01, -0.045 * side - 0.01, 0.02), (0.01, -0.045 * side + 0.01, 0.04))
     yield from lift(hand, 0.08)

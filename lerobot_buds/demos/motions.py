@@ -6,19 +6,23 @@ corrected the way a person corrects them, by looking.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_buds.core import BudsError
-from lerobot_buds.envs import REACH, SimulationView
+from lerobot_buds.envs import FPS, REACH, SimulationView
 
 Vec = NDArray[np.float64]
 Action = NDArray[np.float32]
 Target = Callable[[], Vec]
+Choice = TypeVar("Choice")
+
+COARSE = 0.012
+"""A motion that must end more exactly than this (m) ends at a contact."""
 
 _GAIN = 2.0
-_PATIENCE = 250
 _TREMOR_MEMORY = 0.8
 
 
@@ -63,7 +67,12 @@ class Demonstrator:
 
     Attributes:
         closed: What the gripper is told at every step, closed or open, until this is changed.
+        intention: The latest action as it was meant: without the noise on the hand's command.
+        retries: How often something was missed and done again; a script never does.
     """
+
+    patience = 250
+    """Length of a motion (control steps) after which it has failed."""
 
     def __init__(
         self, state: SimulationView, rng: np.random.Generator, tremor_rng: np.random.Generator | None = None
@@ -72,16 +81,34 @@ class Demonstrator:
         self._tremor_rng = tremor_rng or rng.spawn(1)[0]
         self.manner = draw_manner(rng)
         self.closed = False
+        self.intention: Action = np.zeros(4, dtype=np.float32)
+        self.retries = 0
         self._tremor: Vec = np.zeros(3)
 
     def jitter(self, spread: float) -> Vec:
         """Draws a displacement (m), uniform within ``spread`` along each axis, shape (3,)."""
         return self.rng.uniform(-spread, spread, 3)
 
+    def choose(self, scripted: Choice, people: Choice) -> Choice:
+        """Takes, of two ways to do something, the script's; `people.Person` takes the other."""
+        return scripted
+
+    def slips(self, hooking: bool = False) -> bool:
+        """Tells whether what comes next misses: never, in a script."""
+        return False
+
+    def notices(self, failed: bool) -> bool:
+        """Tells whether something that failed is seen and tried again: never, in a script."""
+        return False
+
+    def think(self, always: bool = False) -> Iterator[Action]:
+        """Waits as people do before they go on: not at all, in a script."""
+        yield from ()
+
     def move(
         self,
         target: Target,
-        tolerance: float = 0.012,
+        tolerance: float = COARSE,
         until: Callable[[], bool] | None = None,
     ) -> Iterator[Action]:
         """Moves the hand to a target that is looked at anew at every step.
@@ -92,32 +119,50 @@ class Demonstrator:
             until: Ends the motion instead of the tolerance, where given.
 
         Raises:
-            MotionFailedError: The end was not reached within 12 seconds.
+            MotionFailedError: The end was not reached in time.
         """
         speed = self.manner.speed * self.rng.uniform(0.8, 1.2)
         start = target() - self.state.hand
         bow = self.manner.curve * self.rng.uniform(-1, 1) * np.cross(start, [0.0, 0.0, 1.0])
         distance = float(np.linalg.norm(start)) + 1e-9
         pause_at = self.rng.uniform(0.2, 0.8) * distance if self.rng.random() < self.manner.hesitation else -1.0
-        for _ in range(_PATIENCE):
+        pace = self._pace(speed, careful=until is not None or tolerance < COARSE)
+        for _ in range(self.patience):
             error = target() - self.state.hand
             left = float(np.linalg.norm(error))
             if until() if until is not None else left < tolerance:
                 return
             if left < pause_at:
                 pause_at = -1.0
-                yield from self.hold(int(self.rng.integers(3, 13)))
+                yield from self.hold(self._pause_length())
             # The bow is widest half way and gone at both ends.
             progress = min(left / distance, 1.0)
             aim = error + 4.0 * bow * progress * (1.0 - progress)
-            yield self._command(aim, speed)
-        raise MotionFailedError("the hand did not arrive within 12 seconds")
+            yield self._command(aim, pace(left))
+        raise MotionFailedError(f"the hand did not arrive within {self.patience // FPS} seconds")
 
     def hold(self, steps: int) -> Iterator[Action]:
         """Stays where it is for some control steps, while the gripper closes or opens."""
         place = self.state.hand
         for _ in range(steps):
             yield self._command(place - self.state.hand, self.manner.speed)
+
+    def _pace(self, speed: float, careful: bool) -> Callable[[float], float]:
+        """Makes the speed cap of one motion, by the distance that is left (m): constant in a script.
+
+        Args:
+            speed: The motion's mean (action units).
+            careful: It ends at a contact, or goes on in contact.
+        """
+        return lambda left: speed
+
+    def _pause_length(self) -> int:
+        """Draws the length of a pause within a motion (control steps)."""
+        return int(self.rng.integers(3, 13))
+
+    def _unsteadiness(self, wish: Vec) -> float:
+        """Tells what share of the tremor a command has, (3,) in action units."""
+        return 1.0
 
     def _command(self, aim: Vec, speed: float) -> Action:
         # Held against the direction of motion, so that the path stays straight at the speed cap.
@@ -126,4 +171,8 @@ class Demonstrator:
         # The stationary deviation of this process is `tremor`.
         fresh = np.sqrt(1.0 - _TREMOR_MEMORY**2) * self.manner.tremor
         self._tremor = _TREMOR_MEMORY * self._tremor + self._tremor_rng.normal(0.0, fresh, 3)
-        return np.append(np.clip(wish + self._tremor, -1.0, 1.0), 1.0 if self.closed else -1.0).astype(np.float32)
+        self.intention = self._action(wish)
+        return self._action(wish + self._unsteadiness(wish) * self._tremor)
+
+    def _action(self, displacement: Vec) -> Action:
+        return np.append(np.clip(displacement, -1.0, 1.0), 1.0 if self.closed else -1.0).astype(np.float32)

@@ -6,7 +6,7 @@ import numpy as np
 
 from .kitchen import move_pot
 from .motions import Action, Demonstrator, Vec
-from .vocabulary import Stage, carry, grasp, lift, release, sweep, up
+from .vocabulary import Stage, carry, pick, release, sweep, up
 
 _KNOB = np.array([0.0, 0.0, 0.020])  # in the lid's frame (m)
 _LID_LYING = 0.915  # height of the lid's origin (m)
@@ -21,8 +21,7 @@ def take_lid_off(hand: Demonstrator) -> Iterator[Action]:
     state = hand.state
     place = state.position("pot_main") + hand.rng.uniform((-0.19, 0.0, 0.0), (-0.16, 0.06, 0.0))
     place[2] = _LID_LYING
-    yield from grasp(hand, lambda: state.point_on("lid_main", _KNOB))
-    yield from lift(hand, 0.06)
+    yield from pick(hand, lambda: state.point_on("lid_main", _KNOB), 0.06)
     yield from carry(hand, "lid_main", lambda: place + up(0.10), tolerance=0.02)
     yield from carry(hand, "lid_main", lambda: place, tolerance=0.008)
     yield from release(hand, rise=0.08)
@@ -37,8 +36,7 @@ def pot_on_tray(hand: Demonstrator) -> Iterator[Action]:
 def take_tool(hand: Demonstrator) -> Iterator[Action]:
     """Grasps the tool's bar behind its middle and lifts it."""
     along_bar = np.array([hand.rng.uniform(-0.09, -0.08), 0.0, 0.0])
-    yield from grasp(hand, lambda: hand.state.point_on("tool_main", along_bar))
-    yield from lift(hand, 0.08)
+    yield from pick(hand, lambda: hand.state.point_on("tool_main", along_bar), 0.08)
 
 
 def push_tray(hand: Demonstrator) -> Iterator[Action]:

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from multiprocessing import get_context, parent_process
@@ -52,7 +52,7 @@ from lerobot_buds.data.writing import (
 )
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, Task, tasks_named
 
-from .attempts import Attempt, attempt_in_worker
+from .attempts import Attempt, Style, attempt_in_worker
 from .card import write_card
 from .pictures import draw_contact_sheet
 
@@ -76,6 +76,7 @@ class Recording:
         seed: Seed of the first attempt at each task; each further attempt takes the next one.
         workers: Processes.
         video: Stores the cameras as video (small, for the Hub), else as images (faster to load).
+        style: How demonstrations are made, and what is kept of them as their action.
     """
 
     repo_id: str
@@ -85,6 +86,7 @@ class Recording:
     seed: int
     workers: int
     video: bool
+    style: Style = field(default_factory=Style)
 
     @property
     def tasks(self) -> list[Task]:
@@ -166,7 +168,11 @@ def _check_numbers(recording: Recording) -> None:
 
 def _claim(staging: Path, recording: Recording) -> None:
     """Refuses to mix attempts of different settings in one staging folder."""
-    wanted = {"settings": [asdict(settings) for settings in recording.settings], "seed": recording.seed}
+    wanted = {
+        "settings": [asdict(settings) for settings in recording.settings],
+        "seed": recording.seed,
+        **asdict(recording.style),
+    }
     claim = staging / "settings.json"
     if claim.exists() and read_json(claim) != wanted:
         raise DatasetError(
@@ -198,7 +204,7 @@ def _attempts(
     next_seed = recording.seed
     while done < recording.episodes:
         while len(pending) < min(2 * recording.workers, recording.episodes - done):
-            pending.append(pool.submit(_staged_attempt, staging, settings, next_seed))
+            pending.append(pool.submit(_staged_attempt, staging, settings, next_seed, recording.style))
             next_seed += 1
         result = pending.pop(0).result()
         done, failed = done + result.success, failed + (not result.success)
@@ -221,16 +227,17 @@ def _end_with_parent() -> None:
     Thread(target=watch, daemon=True).start()
 
 
-def _staged_attempt(staging: Path, settings: EnvSettings, seed: int) -> Attempt:
+def _staged_attempt(staging: Path, settings: EnvSettings, seed: int, style: Style) -> Attempt:
     """Runs one attempt in a worker and stages it, unless an earlier run did."""
     outcome = _staged(staging, settings.task, seed, "json")
     if outcome.exists():
         return Attempt(**read_json(outcome))
-    result = attempt_in_worker(settings, seed)
+    result = attempt_in_worker(settings, seed, style)
     if result.success:
         write_atomically(_staged(staging, settings.task, seed, "npz"), partial(_save_arrays, result.arrays))
-    write_json(outcome, {"seed": seed, "success": result.success, "failure": result.failure})
-    return Attempt(seed, result.success, result.failure)
+    told = replace(result, arrays={})
+    write_json(outcome, asdict(told))
+    return told
 
 
 def _staged(staging: Path, task: str, seed: int, suffix: str) -> Path:
@@ -289,11 +296,13 @@ def _collection_record(recording: Recording, attempts: list[list[Attempt]]) -> d
     return {
         "version": RECORD_VERSION,
         "demonstrator": "scripted",
+        **asdict(recording.style),
         "tasks": [
             {
                 "name": task.name,
                 "description": task.description,
                 "episode_seeds": [a.seed for a in of_task if a.success],
+                "retries": [a.retries for a in of_task if a.success],
                 "failed_attempts": [{"seed": a.seed, "failure": a.failure} for a in of_task if not a.success],
             }
             for task, of_task in zip(recording.tasks, attempts, strict=True)

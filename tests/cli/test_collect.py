@@ -19,6 +19,9 @@ def test_arguments_become_settings():
     )
     assert config == collect.CollectConfig("me/demos", episodes=3, video=False, root=Path("there"), seed=5)
     assert config.task == "multitask_kitchen/task3_variant1" and config.render_profile == "fast"
+    assert (config.manner, config.clean_actions) == ("scripted", False)
+    config = draccus.parse(collect.CollectConfig, args=["--manner=people", "--clean_actions=true"])
+    assert (config.manner, config.clean_actions) == ("people", True)
 
 
 @pytest.mark.parametrize(
@@ -26,6 +29,7 @@ def test_arguments_become_settings():
     [
         (["--task=multitask_kitchen/task3_varient1"], "Did you mean 'multitask_kitchen/task3_variant1'"),
         (["--render_profile=pretty"], "There is no render profile 'pretty'"),
+        (["--manner=peple"], "There is no manner 'peple'. Did you mean 'people'"),
         (["--episodes=0"], "episodes=0 cannot work"),
         (["--episodes=many"], "Couldn't parse 'many' into an int"),
         (["--seed=100000"], "Seeds from 100000 on are for evaluation"),

@@ -27,6 +27,7 @@ from lerobot_buds.core import (
     sha256_of_file,
 )
 from lerobot_buds.data import LocalDataset, cached_frames, check_demonstrations, read_table
+from lerobot_buds.demos.attempts import Style
 from lerobot_buds.demos.recording import Recording, record
 from lerobot_buds.envs import ACTION_NAMES, STATE_NAMES, TASKS, EnvSettings
 
@@ -92,6 +93,9 @@ def test_workers_and_a_kill_do_not_change_the_dataset(demonstrations, recording,
         record(replace(recording, seed=1))
     with pytest.raises(DatasetError, match="interrupted recording with other settings"):
         record(replace(recording, settings=(replace(recording.settings[0], render_profile="fast"),)))
+    for style in (Style("people"), Style(clean_actions=True)):
+        with pytest.raises(DatasetError, match="interrupted recording with other settings"):
+            record(replace(recording, style=style))
     assert {path.name: path.stat().st_mtime_ns for path in staging.glob("*.npz")} == attempts != {}
 
     summary = record(recording)
@@ -134,11 +138,14 @@ def test_the_record_tells_where_the_demonstrations_come_from(demonstrations):
     assert collected == {
         "version": 2,
         "demonstrator": "scripted",
+        "manner": "scripted",
+        "clean_actions": False,
         "tasks": [
             {
                 "name": "multitask_kitchen/task3_variant1",
                 "description": TASKS["multitask_kitchen/task3_variant1"].description,
                 "episode_seeds": [0, 1, 2, 3],
+                "retries": [[], [], [], []],
                 "failed_attempts": [],
             }
         ],
@@ -155,8 +162,22 @@ def test_the_card_tells_what_is_in_the_dataset(demonstrations):
     lengths = table.ends - table.starts
     assert f"4 episodes, {lengths.sum()} frames at 20 Hz" in card.text
     assert f"| 4 | 0 | {lengths.mean():.0f} ({lengths.min()} to {lengths.max()}) | 0 to 3 |" in card.text
+    assert "Manner" not in card.text and "clean_actions" not in card.text
     (picture,) = re.findall(r"!\[.*\]\((.*)\)", card.text)
     assert (demonstrations / picture).is_file()
+
+
+def test_record_and_card_tell_the_manner_what_was_done_again_and_that_actions_are_clean(recording):
+    settings = (replace(recording.settings[0], image_size=16),)
+    style = Style("people", clean_actions=True)
+    record(replace(recording, settings=settings, episodes=1, video=False, style=style))
+    collected = read_json(recording.root / COLLECTION_FILE)
+    assert (collected["manner"], collected["clean_actions"]) == ("people", True)
+    ((retries,),) = [task["retries"] for task in collected["tasks"]]
+    card = DatasetCard.load(recording.root / "README.md").text
+    assert "Manner `people`" in card and "--clean_actions" in card
+    again = ", ".join(f"{stage} {retries.count(stage)}" for stage in sorted(set(retries))) or "nothing"
+    assert f"Missed and done again, by stage: {again}." in card
 
 
 def test_several_tasks_go_into_one_dataset_with_one_count_of_stages(recording):
