@@ -145,12 +145,11 @@ class _Truth:
 def _imagine(model: BudsModel, frames: RecordedFrames, now: IntArray, labels: Labels) -> Tensor:
     """Imagines the subgoals of the true skills, ``(E, d)``."""
     assert model.meta_controllers is not None
-    observation = frames.observation(now)
-    maps, proprio = model.encode(observation, labels.history)
-    situation = model.situation(observation, maps, proprio, labels.held, labels.held_for, labels.finished)
+    percept = model.encode(frames.observation(now), labels.history)
+    situation = model.situation(percept, labels.held, labels.held_for, labels.finished)
     feature, _ = model.meta_controllers.propose(situation)
     latent = feature.new_zeros(len(feature), model.config.meta_latent)
-    return model.meta_controllers.imagine(feature, observation.task, labels.skill, latent)
+    return model.meta_controllers.imagine(feature, percept.task, labels.skill, latent)
 
 
 def _shuffled(skills: Tensor, subgoals: Tensor, rng: np.random.Generator) -> Tensor:

@@ -121,9 +121,6 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
 
     # Training
     boundary_overlap_s: float = 0.5  # how far skills also learn the frames beside their segments (ours; paper: 0)
-    skill_dropout: float = (
-        0.0  # share of frames from which a skill drawn at random learns: a wrong choice costs less (ours)
-    )
     balance_skills: bool = False  # every skill weighs the same, however many frames it has (ours)
     optimizer_lr: float = 1e-4  # Adam (notes)
     optimizer_grad_clip_norm: float = 10.0  # LeRobot's default
@@ -162,7 +159,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
                 raise ConfigError(f"{name}={value} must be positive.")
         if not self.conv_channels:
             raise ConfigError("conv_channels is empty: the encoder needs at least one stage.")
-        for name in ("imagined_subgoals", "memory_dropout", "skill_dropout"):
+        for name in ("imagined_subgoals", "memory_dropout"):
             if not 0 <= (value := getattr(self, name)) <= 1:
                 raise ConfigError(f"{name}={value} is a share: between 0 and 1.")
         if self.n_action_steps > self.chunk_size:

@@ -174,7 +174,7 @@ class MetaController(nn.Module):
         subgoals: Tensor = self.decoder(torch.cat([feature, *seen, latent], dim=1))
         return subgoals
 
-    def losses(self, situation: Situation, skill: Tensor, subgoal: Tensor, acting: Tensor) -> tuple[MetaLosses, Tensor]:
+    def losses(self, situation: Situation, skill: Tensor, subgoal: Tensor) -> tuple[MetaLosses, Tensor]:
         """Computes the terms of the loss.
 
         Latents are drawn in training and are their means otherwise, so that a validation loss does not depend on the
@@ -184,10 +184,9 @@ class MetaController(nn.Module):
             situation: What the decision is made from.
             skill: ``(B,)`` int64 skill labels.
             subgoal: ``(B, d)`` true subgoals, without gradient.
-            acting: ``(B,)`` int64 skills that act.
 
         Returns:
-            The terms, and the subgoals imagined as in a rollout for `acting`, ``(B, d)`` without gradient.
+            The terms, and the subgoals imagined as in a rollout for the labelled skills, ``(B, d)`` without gradient.
         """
         feature, logits = self.propose(situation)
         mean, log_variance = self.posterior(torch.cat([feature, subgoal], dim=1)).float().chunk(2, dim=1)
@@ -199,7 +198,6 @@ class MetaController(nn.Module):
             drawn = self.training and self.drawn_subgoals
             noise = torch.randn_like(mean) if drawn else torch.zeros_like(mean)
             imagined = self.imagine(feature, skill, noise)
-            pursued = self.imagine(feature, acting, noise)
         losses = MetaLosses(
             skill_id_loss=F.cross_entropy(logits, skill, reduction="none"),
             subgoal_loss=_squared_distance(decoded, subgoal),
@@ -207,7 +205,7 @@ class MetaController(nn.Module):
             skill_id_accuracy=(logits.argmax(dim=1) == skill).float(),
             imagined_subgoal_loss=_squared_distance(imagined, subgoal),
         )
-        return losses, pursued
+        return losses, imagined
 
 
 def _squared_distance(one: Tensor, other: Tensor) -> Tensor:
@@ -245,11 +243,11 @@ class MetaControllers(nn.Module):
         )
         return subgoals
 
-    def losses(self, situation: Situation, skill: Tensor, subgoal: Tensor, acting: Tensor) -> tuple[MetaLosses, Tensor]:
+    def losses(self, situation: Situation, skill: Tensor, subgoal: Tensor) -> tuple[MetaLosses, Tensor]:
         """Computes the terms of the loss, every row by its task's meta controller, see `MetaController.losses`."""
 
         def compute(c: int, rows: Tensor | slice) -> list[Tensor]:
-            losses, imagined = self._controller(c).losses(situation[rows], skill[rows], subgoal[rows], acting[rows])
+            losses, imagined = self._controller(c).losses(situation[rows], skill[rows], subgoal[rows])
             return [*vars(losses).values(), imagined]
 
         *losses, imagined = by_group(self._number(situation.task), compute)

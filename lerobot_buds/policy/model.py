@@ -1,5 +1,6 @@
 """The networks of policy type ``buds`` and their losses: see and feel, decide, act."""
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -19,6 +20,29 @@ from .skills import SkillLibrary
 
 BESIDE_SHARE = 0.4
 """Share of the frames beside an edge that are trained with the skill of the other side (ours, measured)."""
+
+
+@dataclass(frozen=True)
+class Percept:
+    """What skills and meta controllers start from.
+
+    Attributes:
+        images: ``(B, C, H, W)`` in [0, 1].
+        maps: Maps of the skills' shared trunk; the images where there is none.
+        proprio: ``(B, P)`` standardised proprioception.
+        told: The same, and the task where no meta controller knows it.
+        task: ``(B,)`` int64 numbers of the tasks.
+    """
+
+    images: Tensor
+    maps: Tensor
+    proprio: Tensor
+    told: Tensor
+    task: Tensor
+
+    def __getitem__(self, rows: Tensor) -> "Percept":
+        """Picks some rows."""
+        return Percept(*(value[rows] for value in vars(self).values()))
 
 
 class LatentGoals(nn.Module):
@@ -98,45 +122,37 @@ class BudsModel(nn.Module):
             is_padding: ``(B, n)`` bool, those after the end of the demonstration; None without any.
 
         Returns:
-            ``(B,)`` floats by their names: those of `LOSSES` are trained on, and absent where their part is frozen.
+            ``(B,)`` floats by their names, the same at every step; those of frozen skills are absent.
         """
         if self.training:
-            images = random_shift(observation.images, self.config.crop_padding)
-            observation = Observation(images, observation.state, observation.task)
+            observation = replace(observation, images=random_shift(observation.images, self.config.crop_padding))
         skill, goal = self._drawn_beside_edges(labels)
-        acting = skill
-        maps, proprio = self.encode(observation, labels.history)
+        percept = self.encode(observation, labels.history)
         terms: dict[str, Tensor] = {}
-        subgoal = imagined = proprio[:, :0]
+        subgoal = percept.proprio[:, :0]
         if self.meta_controllers is not None:
             subgoal, target = self.encode_goals(skill, goal)
-            acting = self._drawn_at_random(skill)
-            if self.skills.encodes_goals and acting is not skill:
-                subgoal, _ = self.encode_goals(acting, goal)
-            situation = self.situation(observation, maps, proprio, labels.held, labels.held_for, labels.finished)
-            losses, imagined = self.meta_controllers.losses(situation, skill, target, acting)
+            situation = self.situation(percept, labels.held, labels.held_for, labels.finished)
+            losses, imagined = self.meta_controllers.losses(situation, skill, target)
             terms |= vars(losses) | {"subgoal_spread": spread_within(target, skill, self.config.n_skills or 1)}
+            subgoal = self._as_in_rollouts(subgoal, imagined)
         if self.config.skills_path is None or not self.training:
-            outputs = self.skills(
-                acting, maps, self._as_in_rollouts(subgoal, imagined), self._told(proprio, observation)
-            )
-            errors, misses = self.actions.errors(outputs, actions), self.actions.misses(outputs, actions)  # (B, n)
-            inside = torch.ones_like(errors) if is_padding is None else (~is_padding).to(errors)
-            terms["skill_loss"] = labels.weight * (errors * inside).sum(dim=1) / inside.sum(dim=1)
-            terms["action_error"] = (misses * inside).sum(dim=1) / inside.sum(dim=1)
+            outputs = self.skills(skill, percept.maps, subgoal, percept.told)
+            terms |= self._errors(outputs, actions, labels.weight, is_padding)
         return terms
 
-    def encode(self, observation: Observation, history: Tensor) -> tuple[Tensor, Tensor]:
+    def encode(self, observation: Observation, history: Tensor) -> Percept:
         """Computes what skills and meta controllers start from.
 
         Args:
             observation: What is seen and felt.
             history: ``(B, n, h)`` raw gripper readings, oldest first, without the current one.
-
-        Returns:
-            Maps of the shared trunk, or the images where there is none, and ``(B, P)`` standardised proprioception.
         """
-        return self.skills.encode_images(observation.images), self.proprioception(observation.state, history)
+        maps = self.skills.encode_images(observation.images)
+        told = proprio = self.proprioception(observation.state, history)
+        if self.config.task_count and not self.config.has_subgoals:
+            told = torch.cat([proprio, F.one_hot(observation.task, self.config.task_count).to(proprio)], dim=1)
+        return Percept(observation.images, maps, proprio, told, observation.task)
 
     def encode_goals(self, skill: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
         """Turns goals into subgoals, ``(B, d)`` each: for the skills, and for the meta controllers, without gradient.
@@ -154,20 +170,18 @@ class BudsModel(nn.Module):
             return subgoal, self.skills.subgoal_targets(skill, images)
         return subgoal, subgoal.detach()
 
-    def situation(
-        self, observation: Observation, maps: Tensor, proprio: Tensor, held: Tensor, held_for: Tensor, finished: Tensor
-    ) -> Situation:
+    def situation(self, percept: Percept, held: Tensor, held_for: Tensor, finished: Tensor) -> Situation:
         """Collects what decisions are made from; for the last three arguments see `Labels`."""
         config = self.config
         remembers = torch.ones(len(held), 1, dtype=torch.bool, device=held.device)
         if self.training:
             remembers = torch.rand(len(held), 1, device=held.device) >= config.memory_dropout
         return Situation(
-            images=maps if config.meta_trunk == "skills" else observation.images[:, : config.meta_channels],
-            proprio=proprio if config.meta_proprioception else proprio[:, :0],
+            images=percept.maps if config.meta_trunk == "skills" else percept.images[:, : config.meta_channels],
+            proprio=percept.proprio if config.meta_proprioception else percept.proprio[:, :0],
             memory=self.memory(held, held_for, finished),
             remembers=remembers,
-            task=observation.task,
+            task=percept.task,
         )
 
     def decide(self, situation: Situation, noise: Tensor) -> tuple[Tensor, Tensor]:
@@ -177,16 +191,20 @@ class BudsModel(nn.Module):
         skill = logits.argmax(dim=1)
         return skill, self.meta_controllers.imagine(feature, situation.task, skill, noise)
 
-    def act(self, observation: Observation, maps: Tensor, proprio: Tensor, skill: Tensor, subgoal: Tensor) -> Tensor:
+    def act(self, percept: Percept, skill: Tensor, subgoal: Tensor) -> Tensor:
         """Computes the next actions ``(B, n, A)``, in the unit of the dataset."""
-        outputs = self.skills(skill, maps, subgoal, self._told(proprio, observation))
+        outputs = self.skills(skill, percept.maps, subgoal, percept.told)
         return self.actions.decode(self.actions.expected(outputs))
 
-    def _told(self, proprio: Tensor, observation: Observation) -> Tensor:
-        """Appends the task where no meta controller knows it."""
-        if self.config.has_subgoals or not self.config.task_count:
-            return proprio
-        return torch.cat([proprio, F.one_hot(observation.task, self.config.task_count).to(proprio)], dim=1)
+    def _errors(self, outputs: Tensor, actions: Tensor, weight: Tensor, is_padding: Tensor | None) -> dict[str, Tensor]:
+        """Compares outputs with demonstrated actions, ``(B,)`` means over those of the demonstration."""
+        errors, misses = self.actions.errors(outputs, actions), self.actions.misses(outputs, actions)  # (B, n)
+        inside = torch.ones_like(errors) if is_padding is None else (~is_padding).to(errors)
+        count = inside.sum(dim=1)
+        return {
+            "skill_loss": weight * (errors * inside).sum(dim=1) / count,
+            "action_error": (misses * inside).sum(dim=1) / count,
+        }
 
     def _drawn_beside_edges(self, labels: Labels) -> tuple[Tensor, Tensor]:
         """Takes the skill of the other side for some frames beside an edge: decisions come early and late."""
@@ -197,16 +215,9 @@ class BudsModel(nn.Module):
         goal = torch.where(beside.view(shape), labels.neighbour_goal, labels.goal)
         return torch.where(beside, labels.neighbour, labels.skill), goal
 
-    def _drawn_at_random(self, skill: Tensor) -> Tensor:
-        """Lets any skill act at some frames: one that was chosen wrongly then does what is right nevertheless."""
-        if not self.training or not self.config.skill_dropout:
-            return skill
-        replaced = torch.rand(len(skill), device=skill.device) < self.config.skill_dropout
-        return torch.where(replaced, torch.randint_like(skill, self.config.n_skills or 1), skill)
-
     def _as_in_rollouts(self, subgoal: Tensor, imagined: Tensor) -> Tensor:
         """Disturbs subgoals in training: some rows get what the meta controllers imagine, all get noise."""
-        if not self.training or self.meta_controllers is None:
+        if not self.training:
             return subgoal
         if self.config.imagined_subgoals:
             replaced = torch.rand(len(subgoal), 1, device=subgoal.device) < self.config.imagined_subgoals

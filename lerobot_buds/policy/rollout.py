@@ -8,7 +8,7 @@ from torch import Tensor
 
 from .inputs import Observation
 from .labels import UNDECIDED
-from .model import BudsModel
+from .model import BudsModel, Percept
 
 Override = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 """Decides in the place of the meta controller."""
@@ -73,14 +73,13 @@ class Rollout:
         due = (self.steps_left == 0) if model.config.has_subgoals else torch.zeros_like(self.planned, dtype=torch.bool)
         rows = (due | (self.planned == 0)).nonzero()[:, 0]
         if len(rows):
-            observed, due = observation[rows], due[rows]
-            maps, proprio = model.encode(observed, self.history[rows])
+            percept, due = model.encode(observation[rows], self.history[rows]), due[rows]
             if due.any():
-                decided = self._decide(model, observed[due], (maps[due], proprio[due]), rows[due], noise)
+                decided = self._decide(model, percept[due], rows[due], noise)
                 if override is not None:
                     decided = override(rows[due], *decided)
                 self._hold(model, rows[due], *decided)
-            actions = model.act(observed, maps, proprio, self.skill[rows], self.subgoal[rows])
+            actions = model.act(percept, self.skill[rows], self.subgoal[rows])
             self.plan = self.plan.index_copy(0, rows, actions.to(self.plan.dtype))
             self.planned = self.planned.index_fill(0, rows, model.config.n_action_steps)
         return self._advance(model.proprioception.reading(observation.state))
@@ -97,20 +96,14 @@ class Rollout:
             remembers: The memory counts.
         """
         rows = torch.arange(len(self.skill), device=self.skill.device)
-        maps, proprio = model.encode(observation, self.history)
+        percept = model.encode(observation, self.history)
         skill, subgoal = self.skill, self.subgoal
         if model.config.has_subgoals:
-            skill, subgoal = self._decide(model, observation, (maps, proprio), rows, noise, remembers)
-        return model.act(observation, maps, proprio, skill, subgoal)
+            skill, subgoal = self._decide(model, percept, rows, noise, remembers)
+        return model.act(percept, skill, subgoal)
 
     def _decide(
-        self,
-        model: BudsModel,
-        observation: Observation,
-        encoded: tuple[Tensor, Tensor],
-        rows: Tensor,
-        noise: Tensor | None,
-        remembers: bool = True,
+        self, model: BudsModel, percept: Percept, rows: Tensor, noise: Tensor | None, remembers: bool = True
     ) -> tuple[Tensor, Tensor]:
         """Asks the meta controllers of some rows for ``(D,)`` skills and ``(D, d)`` subgoals."""
         size = len(self.skill), model.config.meta_latent
@@ -119,10 +112,10 @@ class Rollout:
         elif noise is None:
             noise = torch.randn(size)
         memory = self.skill[rows], self.held_for[rows], self.finished[rows]
-        situation = model.situation(observation, *encoded, *memory)
+        situation = model.situation(percept, *memory)
         if not remembers:
             situation = replace(situation, remembers=torch.zeros_like(situation.remembers))
-        return model.decide(situation, noise.to(observation.images)[rows])
+        return model.decide(situation, noise.to(percept.images)[rows])
 
     def _hold(self, model: BudsModel, rows: Tensor, skill: Tensor, subgoal: Tensor) -> None:
         """Puts new decisions of some rows into force, and remembers what was done until now."""

@@ -8,6 +8,7 @@ import torch
 
 from lerobot_buds.policy.inputs import Observation, read_actions, read_inputs
 from lerobot_buds.policy.labels import UNDECIDED, Labels
+from lerobot_buds.policy.meta_controller import MEMORY_SAY
 
 META = ("skill_id_loss", "subgoal_loss", "kl_loss")
 
@@ -20,7 +21,7 @@ def logits_of(model, held, held_for, finished, images=None, state=None):
     state = torch.zeros(1, 5) if state is None else state
     seen = Observation(images.expand(rows, -1, -1, -1), state.expand(rows, -1), torch.zeros(rows, dtype=torch.int64))
     encoded = model.encode(seen, torch.zeros(rows, 5, 2))
-    situation = model.situation(seen, *encoded, torch.tensor(held), torch.tensor(held_for), torch.tensor(finished))
+    situation = model.situation(encoded, torch.tensor(held), torch.tensor(held_for), torch.tensor(finished))
     return model.meta_controllers.propose(situation)[1]
 
 
@@ -45,17 +46,20 @@ def test_what_is_seen_keeps_its_say_where_the_memory_counts(build):
     seen = logits_of(model.train(), *PASTS)
     (controller,) = model.meta_controllers.controllers
     memory = model.memory(*(torch.tensor(value) for value in PASTS))
-    torch.testing.assert_close(logits_of(model.eval(), *PASTS), seen + controller.memory_head(memory))
+    torch.testing.assert_close(
+        logits_of(model.eval(), *PASTS), seen + MEMORY_SAY * torch.tanh(controller.memory_head(memory))
+    )
 
 
 def test_the_memory_is_forgotten_for_its_share_of_the_rows(build, batch_of):
     model, rows = build(memory_dropout=0.3).model, 4000
     seen = read_inputs(model.config, batch_of(0))[torch.zeros(rows, dtype=torch.int64)]
+    percept = model.encode(seen, torch.zeros(rows, 5, 2))
     memory = torch.zeros(rows, dtype=torch.int64), torch.zeros(rows, dtype=torch.int64), torch.zeros(rows, 2)
     torch.manual_seed(0)
-    forgotten = ~model.train().situation(seen, seen.images, torch.zeros(rows, 12), *memory).remembers
+    forgotten = ~model.train().situation(percept, *memory).remembers
     assert forgotten.float().mean() == pytest.approx(0.3, abs=0.03)
-    assert model.eval().situation(seen, seen.images, torch.zeros(rows, 12), *memory).remembers.all()
+    assert model.eval().situation(percept, *memory).remembers.all()
 
 
 @pytest.mark.parametrize("feels", [False, True])
@@ -87,9 +91,9 @@ def test_on_the_skills_trunk_it_needs_none_of_its_own(build, batch_of):
     assert [tuple(kernel.shape) for kernel in kernels] == [(4, 8, 1, 1)]  # keypoints of the trunk's maps
     labels = Labels.of(batch_of(0, 12))
     seen = read_inputs(policy.config, batch_of(0, 12))
-    maps, proprio = policy.model.encode(seen, labels.history)
-    situation = policy.model.situation(seen, maps, proprio, labels.held, labels.held_for, labels.finished)
-    assert torch.equal(situation.images, maps) and maps.requires_grad and not situation.images.requires_grad
+    percept = policy.model.encode(seen, labels.history)
+    situation = policy.model.situation(percept, labels.held, labels.held_for, labels.finished)
+    assert situation.images is percept.maps and situation.images.requires_grad
 
 
 def test_a_rollout_keeps_count_of_what_was_done(build, batch_of):

@@ -251,9 +251,9 @@ def test_skills_of_a_library_act_as_they_did(build, batch, tmp_path, space):
     labels, seen = Labels.of(batch(policy)), read_inputs(policy.config, batch(policy))
     outputs = []
     for model in (source.model.eval(), policy.model.eval()):
-        maps, proprio = model.encode(seen, labels.history)
+        percept = model.encode(seen, labels.history)
         subgoal, _ = model.encode_goals(labels.skill, labels.goal)
-        outputs.append(model.act(seen, maps, proprio, labels.skill, subgoal))
+        outputs.append(model.act(percept, labels.skill, subgoal))
     assert torch.equal(*outputs)
 
 
