@@ -1,14 +1,16 @@
-"""Times the policy at the paper's sizes: in training, against a plain loop and against ACT, and in acting.
+"""Times the policy: in training, against a flat one, a plain loop and ACT, and in acting.
 
 The plain loop trains separate networks as the original does. All in one run on one segmented dataset; quote the ratios.
 
     python scripts/benchmark_policy.py --root=outputs/serve_skills
+    python scripts/benchmark_policy.py --root=outputs/serve_skills --policy="include configs/policy/buds_cpu.yaml"
 """
 
 import resource
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import cycle, islice
 from tempfile import TemporaryDirectory
@@ -23,9 +25,12 @@ from lerobot.policies import PreTrainedPolicy, make_policy, make_pre_post_proces
 from lerobot.policies.act import ACTConfig
 
 from lerobot_buds.core import ACTION
+from lerobot_buds.data import as_floats
 from lerobot_buds.policy import BudsConfig
-from lerobot_buds.policy.images import random_shift
+from lerobot_buds.policy.inputs import read_actions, read_inputs
+from lerobot_buds.policy.labels import Labels
 from lerobot_buds.policy.modeling_buds import BudsPolicy
+from lerobot_buds.policy.networks import random_shift
 
 CHUNK = 100  # ACT's default
 WARM_UP = 20  # steps of acting that do not count
@@ -36,6 +41,8 @@ class BenchmarkConfig:
     """What is timed, and where."""
 
     root: str
+    policy: PreTrainedConfig = field(default_factory=BudsConfig)
+    """Of type `buds`, with a segmented dataset's skills; the paper's sizes where nothing is said."""
     batch_size: int = 32
     steps: int = 5
     actions: int = 2000
@@ -95,8 +102,8 @@ def separate_networks(policy: BudsPolicy) -> Callable[[dict], None]:
     As in the original, networks take images in the usual order of memory, losses are read after every network, and the
     meta controller's targets come from finished encoders.
     """
-    channels = policy.config.meta_channels
-    parts = [*policy.skills.skills, *policy.meta_controllers.controllers]
+    model = policy.model
+    parts = [*model.skills.skills, *model.meta_controllers.controllers]
     optimizers = [torch.optim.Adam(part.parameters(), lr=1e-4) for part in parts]
 
     def finish(loss: torch.Tensor, optimizer: torch.optim.Optimizer) -> None:
@@ -106,19 +113,20 @@ def separate_networks(policy: BudsPolicy) -> Callable[[dict], None]:
         loss.item()
 
     def loop(batch: dict) -> None:
-        images, state, task = policy._inputs(batch)
-        labels = policy._label_table().lookup(batch["index"])
-        goals = policy._goal_images(labels.subgoal, images.device).contiguous()
-        proprio = policy.proprioception(state, labels.history)
-        shifted = random_shift(images, 4).contiguous()
-        for k, (skill, optimizer) in enumerate(zip(policy.skills.skills, optimizers, strict=False)):
+        seen, labels, actions = read_inputs(policy.config, batch), Labels.of(batch), read_actions(policy.config, batch)
+        shifted = replace(seen, images=random_shift(seen.images, 4).contiguous())
+        percept = model.encode(shifted, labels.history)
+        goals = as_floats(labels.goal).contiguous()
+        for k, (skill, optimizer) in enumerate(zip(model.skills.skills, optimizers, strict=False)):
             rows = (labels.skill == k).nonzero()[:, 0]
             if len(rows):
                 subgoal = skill.subgoal_encoder(goals[rows])
-                output, _ = skill(shifted[rows], subgoal + 0.1 * torch.randn_like(subgoal), proprio[rows])
-                finish(policy.actions.errors(output[:, 0], batch[ACTION][rows]).sum(), optimizer)
-        target = policy.skills.subgoal_targets(labels.skill, goals)
-        meta, _ = policy.meta_controllers.losses(shifted[:, :channels], task, labels.skill, target)
+                subgoal = subgoal + 0.1 * torch.randn_like(subgoal)
+                output = skill(percept.images[rows], subgoal, percept.told[rows])
+                finish(model.actions.errors(output, actions[rows]).sum(), optimizer)
+        target = model.skills.subgoal_targets(labels.skill, goals)
+        situation = model.situation(percept, labels.held, labels.held_for, labels.finished)
+        meta, _ = model.meta_controllers.losses(situation, labels.skill, target)
         finish((meta.skill_id_loss + meta.subgoal_loss + 1e-4 * meta.kl_loss).mean(), optimizers[-1])
 
     return loop
@@ -137,17 +145,27 @@ def time_training(config: BenchmarkConfig) -> None:
     stream = batches(dataset, config)
     loading = median_seconds(partial(next, stream), config.steps)
     print(f"loader: {config.batch_size / loading:.0f} frames/s in {max(1, config.workers)} process(es)")
-    # A skill's share of a batch differs from batch to batch, which can matter on a GPU. All are met while warming up:
-    # subgoal vectors of frozen skills are computed when a frame is first met.
-    loaded = [_moved(next(stream), torch.device(config.device)) for _ in range(warm_ups(config.steps))]
+    # A skill's share of a batch differs from batch to batch, which can matter on a GPU.
+    loaded = [next(stream) for _ in range(warm_ups(config.steps))]
+
+    def on_loaded(make: Callable[[BudsPolicy, torch.optim.Optimizer], Callable[[dict], object]], **options: Any) -> Any:
+        policy, optimizer = _buds(config, dataset, **options)
+        prepare, _ = make_pre_post_processors(policy.config, dataset_stats=dataset.meta.stats)
+        prepared = cycle([prepare(_chunked(batch, policy.config.chunk_size)) for batch in loaded])
+        work = make(policy, optimizer)
+        return lambda: work(next(prepared))
+
+    def updating(policy: BudsPolicy, optimizer: torch.optim.Optimizer) -> Callable[[dict], object]:
+        return partial(update, policy, optimizer, config.amp)
+
     works: dict[str, Callable[[], Callable[[], None]]] = {
-        "buds, joint": lambda: _on(
-            loaded, partial(update, *_buds(config, dataset, compile_model=config.compiled), config.amp)
-        ),
-        "plain loop over separate networks": lambda: _on(loaded, separate_networks(_buds(config, dataset)[0])),
-        "buds, meta controller alone": lambda: _on(loaded, _meta_controller_alone(config, dataset)),
+        "buds": lambda: on_loaded(updating, compile_model=config.compiled),
+        "the same, flat": lambda: on_loaded(updating, skills="flat"),
         "ACT with its defaults": lambda: _act(config, dataset),
     }
+    if not config.policy.shared_trunk and config.policy.subgoal_space == "image":
+        works["plain loop over separate networks"] = lambda: on_loaded(lambda policy, _: separate_networks(policy))
+    works["buds, meta controller alone"] = lambda: _meta_controller_alone(config, dataset, on_loaded, updating)
     for name, build in works.items():
         if config.only in name:
             torch.backends.cudnn.benchmark = torch.backends.cuda.matmul.allow_tf32 = True  # as lerobot-train sets them
@@ -159,21 +177,26 @@ def time_training(config: BenchmarkConfig) -> None:
 
 
 def _buds(config: BenchmarkConfig, dataset: LeRobotDataset, **options: Any) -> tuple[BudsPolicy, torch.optim.Optimizer]:
-    """Builds the policy at the paper's sizes, and its optimiser."""
-    return built(BudsConfig(device=config.device, **options), dataset)
+    """Builds the policy, and its optimiser."""
+    settings = replace(deepcopy(config.policy), device=config.device, **options)
+    return built(settings, dataset)
 
 
-def _on(loaded: list[dict], work: Callable[[dict], None]) -> Callable[[], None]:
-    """Does some work on one batch after the other, for ever."""
-    stream = cycle(loaded)
-    return lambda: work(next(stream))
+def _chunked(batch: dict, size: int) -> dict:
+    """Repeats the action, as if the loader had been asked for chunks."""
+    if size == 1:
+        return batch
+    return {**batch, ACTION: batch[ACTION][:, None].expand(-1, size, -1)}
 
 
-def _meta_controller_alone(config: BenchmarkConfig, dataset: LeRobotDataset) -> Callable[[dict], None]:
-    """Skills of a library are frozen, and their subgoal vectors are kept."""
+def _meta_controller_alone(
+    config: BenchmarkConfig, dataset: LeRobotDataset, on_loaded: Callable[..., Any], updating: Callable[..., Any]
+) -> Callable[[], None]:
+    """Skills of a library are frozen."""
     with TemporaryDirectory() as library:
         _buds(config, dataset)[0].save_pretrained(library)
-        return partial(update, *_buds(config, dataset, skills_path=library), config.amp)
+        work: Callable[[], None] = on_loaded(updating, skills_path=library)
+        return work
 
 
 def _act(config: BenchmarkConfig, dataset: LeRobotDataset) -> Callable[[], None]:

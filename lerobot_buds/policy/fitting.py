@@ -19,10 +19,11 @@ from lerobot_buds.core import (
     same_rate,
 )
 from lerobot_buds.data import read_collection
-from lerobot_buds.segmentation import SkillModel, load_labels
+from lerobot_buds.segmentation import load_labels
 
 from .actions import ActionRange, assume_plain_actions, choose_coding
 from .configuration_buds import PAPER_FPS, BudsConfig, refuse_other_images
+from .labels import representation_of
 from .library import TrainedSkills
 
 logger = logging.getLogger(__name__)
@@ -89,7 +90,7 @@ def fit_to_dataset(config: BudsConfig, meta: Any, may_be_renamed: bool = False) 
             labels = record.labels_hash
             config.segmentation = _agree("segmentation", config.segmentation, labels, meta.root, _OTHER_LABELS)
         if config.subgoal_space == "latent":
-            representation = SkillModel.from_pretrained(Path(meta.root)).representation
+            representation = representation_of(Path(meta.root))
             config.representation = _agree("representation", config.representation, representation.hash, meta.root)
             config.subgoal_dim = representation.width
     else:

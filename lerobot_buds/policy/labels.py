@@ -17,7 +17,8 @@ from torch import Tensor
 
 from lerobot_buds.core import STATE, DatasetError, IntArray, SegmentationError, segments_of, subgoals_of
 from lerobot_buds.data import LocalDataset, read_table
-from lerobot_buds.segmentation import SkillModel, load_labels
+from lerobot_buds.representation import Representation, encode_dataset
+from lerobot_buds.segmentation import REPRESENTATION_DIR, load_labels
 
 from .configuration_buds import BudsConfig
 from .goals import GoalImages
@@ -151,11 +152,9 @@ class LabelTable:
     @cached_property
     def latents(self) -> NDArray[np.float32]:
         """``(N, d)`` latent of every frame in the representation that the skills were found with; NaN if not here."""
-        from lerobot_buds.representation import encode_dataset
-
         whole = [e for e, start in enumerate(self._starts) if self._present[start]]
         dataset = LocalDataset(self.root, chosen=tuple(whole))
-        parts = encode_dataset(dataset, SkillModel.from_pretrained(self.root).representation)
+        parts = encode_dataset(dataset, representation_of(self.root))
         latents = np.full((len(self._present), parts[0].shape[1]), np.nan, dtype=np.float32)
         for e, part in zip(whole, parts, strict=True):
             latents[self._starts[e] : self._ends[e]] = part
@@ -234,3 +233,21 @@ def history_rows(index: IntArray, starts: IntArray, frames: int) -> IntArray:
     """
     rows: IntArray = np.maximum(index[:, None] - np.arange(frames, 0, -1), starts[:, None])
     return rows
+
+
+def representation_of(root: Path) -> Representation:
+    """Reads the representation that the skills of a segmented dataset were found with.
+
+    Args:
+        root: Folder of the dataset.
+
+    Raises:
+        SegmentationError: The dataset has none.
+        CheckpointError: It is damaged.
+    """
+    if not (root / REPRESENTATION_DIR).is_dir():
+        raise SegmentationError(
+            f"{root} holds no representation to take latent subgoals from: segment its source with "
+            "lerobot-buds-segment, or use --policy.subgoal_space=image."
+        )
+    return Representation.load(root / REPRESENTATION_DIR)

@@ -7,7 +7,7 @@ from .curve import draw_silhouettes
 from .discovery import SkillDiscovery
 from .exemplars import read_library, write_library
 from .library import SkillLibrary
-from .model import DiscoveredSkills, SkillModel, discover_skills
+from .model import REPRESENTATION_DIR, DiscoveredSkills, SkillModel, discover_skills
 from .record import SegmentationRecord, SourceDescription, check_labels, load_labels
 from .settings import PRESETS, DiscoveryConfig, preset
 from .temporal import temporal_segments
@@ -17,6 +17,7 @@ from .write import check_target, write_segmented_dataset
 
 __all__ = [
     "PRESETS",
+    "REPRESENTATION_DIR",
     "DiscoveredSkills",
     "DiscoveryConfig",
     "SegmentationRecord",

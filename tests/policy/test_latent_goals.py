@@ -9,7 +9,7 @@ import torch
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.policies import make_policy
 
-from lerobot_buds.core import CheckpointError
+from lerobot_buds.core import CheckpointError, SegmentationError
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.labels import Labels, LabelTable
 from lerobot_buds.policy.model import LatentGoals
@@ -85,7 +85,7 @@ def test_another_representation_is_refused(build, copy, small, save_representati
 def test_a_dataset_without_representation_is_refused(copy, small):
     root, build_for = copy
     shutil.rmtree(root / "meta/buds/representation")
-    with pytest.raises(CheckpointError, match="holds no whole representation"):
+    with pytest.raises(SegmentationError, match=r"holds no representation.*subgoal_space=image"):
         build_for(small)
 
 
