@@ -224,8 +224,14 @@ def load(name, *overrides):
     return draccus.parse(Run, args=[f"--policy=include {file}", *overrides]).policy
 
 
-def test_the_paper_file_spells_out_the_defaults():
-    assert load("buds.yaml", "--policy.device=cpu") == BudsConfig(device="cpu")
+def test_the_paper_file_is_the_defaults_without_what_is_ours():
+    ours = {"boundary_overlap_s": 0.0, "meta_proprioception": False, "skill_memory": False}
+    assert load("buds.yaml", "--policy.device=cpu") == BudsConfig(device="cpu", **ours)
+
+
+def test_baselines_plan_as_far_ahead_as_what_they_are_compared_with():
+    chunks = {(c.chunk_size, c.n_action_steps) for c in map(load, ("buds_improved.yaml", "bc.yaml", "gti.yaml"))}
+    assert chunks == {(5, 5)}
 
 
 def test_the_cpu_preset_is_small_and_takes_overrides():
