@@ -54,7 +54,7 @@ def diagnose(policy: BudsPolicy, frames: RecordedFrames, episodes: IntArray, see
         return {"frames": int(real.sum()), "errors": {"chosen": _mean(chosen[real])}}
     truth = _Truth.of(model, frames, rows, np.random.default_rng(seed))
     errors = {"chosen": chosen}
-    for name, subgoals in (("held", truth.exact), ("imagined", truth.imagined), ("shuffled", truth.shuffled)):
+    for name, subgoals in (("imagined", truth.imagined), ("held", truth.exact), ("shuffled", truth.shuffled)):
         errors[name], _ = _act_along(model, frames, rows, truth.skills, subgoals)
     true_skills = truth.skills.cpu().numpy()
     distance = _to_boundary(true_skills, real)
