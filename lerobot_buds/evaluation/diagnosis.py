@@ -52,7 +52,7 @@ def diagnose(policy: BudsPolicy, frames: RecordedFrames, episodes: IntArray, see
     chosen, skills = _act_along(model, frames, rows)
     if not policy.config.has_subgoals:
         return {"frames": int(real.sum()), "errors": {"chosen": _mean(chosen[real])}}
-    truth = _Truth.of(model, frames, rows, np.random.default_rng(seed))
+    truth = _Truth.of(model, frames, rows, torch.from_numpy(real), np.random.default_rng(seed))
     errors = {"chosen": chosen}
     for name, subgoals in (("imagined", truth.imagined), ("held", truth.exact), ("shuffled", truth.shuffled)):
         errors[name], _ = _act_along(model, frames, rows, truth.skills, subgoals)
@@ -124,7 +124,9 @@ class _Truth:
     shuffled: Tensor
 
     @classmethod
-    def of(cls, model: BudsModel, frames: RecordedFrames, rows: IntArray, rng: np.random.Generator) -> "_Truth":
+    def of(
+        cls, model: BudsModel, frames: RecordedFrames, rows: IntArray, real: Tensor, rng: np.random.Generator
+    ) -> "_Truth":
         skills, exact, imagined = [], [], []
         for now in rows:
             labels = frames.labels(now)
@@ -132,7 +134,7 @@ class _Truth:
             exact.append(model.encode_goals(labels.skill, labels.goal)[0])
             imagined.append(_imagine(model, frames, now, labels))
         stacked = torch.stack(skills), torch.stack(exact)
-        return cls(*stacked, torch.stack(imagined), _shuffled(*stacked, rng))
+        return cls(*stacked, torch.stack(imagined), _shuffled(*stacked, real, rng))
 
     def subgoal_errors(self, real: Tensor) -> dict[str, float]:
         """Computes errors and spread over the real frames."""
@@ -152,11 +154,11 @@ def _imagine(model: BudsModel, frames: RecordedFrames, now: IntArray, labels: La
     return model.meta_controllers.imagine(feature, percept.task, labels.skill, latent)
 
 
-def _shuffled(skills: Tensor, subgoals: Tensor, rng: np.random.Generator) -> Tensor:
-    """Gives every frame the subgoal of another one of the same skill."""
+def _shuffled(skills: Tensor, subgoals: Tensor, real: Tensor, rng: np.random.Generator) -> Tensor:
+    """Gives every real frame the subgoal of another one of the same skill."""
     ids, shuffled = skills.flatten(), subgoals.flatten(0, 1).clone()
     for skill in torch.unique(ids):
-        rows = (ids == skill).nonzero()[:, 0]
+        rows = ((ids == skill) & real.flatten().to(ids.device)).nonzero()[:, 0]
         shuffled[rows] = shuffled[rows[torch.from_numpy(rng.permutation(len(rows))).to(rows.device)]]
     return shuffled.view_as(subgoals)
 

@@ -2,11 +2,21 @@
 
 import numpy as np
 import torch
+from lerobot.datasets import LeRobotDatasetMetadata
 from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_buds.core import ACTION, STATE, IntArray
-from lerobot_buds.data import AnyDataset, LocalDataset, as_floats, cached_frames, read_table
+from lerobot_buds.data import (
+    AnyDataset,
+    FrameTable,
+    LocalDataset,
+    as_floats,
+    cached_frames,
+    read_table,
+    require_videos,
+    require_whole,
+)
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.fitting import task_number
 from lerobot_buds.policy.inputs import Observation
@@ -27,22 +37,22 @@ class RecordedFrames:
 
     Raises:
         CheckpointError: A task is unknown to the policy.
-        DatasetError: The dataset is damaged.
+        DatasetError: The dataset is damaged, or chosen episodes are not whole on this machine.
         SegmentationError: It is not segmented.
     """
 
     def __init__(self, dataset: AnyDataset, config: BudsConfig) -> None:
         dataset = LocalDataset.of(dataset)
-        table = read_table(dataset, [STATE, ACTION] if config.state_size else [ACTION])
+        table = read_table(dataset, [*([STATE] if config.state_size else []), ACTION, "task_index"])
         total = len(table.present)
         self.starts, self.ends = table.starts, table.ends
         self._device, self._chunk = torch.device(str(config.device)), config.chunk_size
         self._cameras = [cached_frames(dataset, camera, size=config.image_shape) for camera in config.stacked_cameras]
         self._state = table.columns.get(STATE, np.empty((total, 0))).reshape(total, -1).astype(np.float32)
         self._actions = table.columns[ACTION].reshape(total, -1).astype(np.float32)
-        self._tasks = np.zeros(total, dtype=np.int64)
-        for record, start, end in zip(dataset.episodes, self.starts, self.ends, strict=True):
-            self._tasks[start:end] = task_number(config, record["tasks"][0])
+        require_whole(table)
+        require_videos(dataset)
+        self._tasks = _task_numbers(dataset, config, table)
         self.label_table = LabelTable(dataset.root, config)
         self._workspace = config.stacked_cameras[0]
 
@@ -67,3 +77,14 @@ class RecordedFrames:
         images = {self._workspace: torch.from_numpy(self._cameras[0][rows])}
         found = self.label_table.lookup(torch.from_numpy(rows), images)
         return Labels(**{name: value.to(self._device) for name, value in vars(found).items()})
+
+
+def _task_numbers(dataset: LocalDataset, config: BudsConfig, table: FrameTable) -> IntArray:
+    """Looks up every frame's task among those of the policy, ``(N,)``; an episode may have several."""
+    tasks = LeRobotDatasetMetadata(dataset.root.name, root=dataset.root).tasks
+    names = {int(number): str(task) for task, number in tasks["task_index"].items()}
+    column = table.columns["task_index"].reshape(-1).astype(np.int64)
+    numbers = np.zeros(len(column), dtype=np.int64)
+    for number in np.unique(column[table.present]):
+        numbers[column == number] = task_number(config, names[int(number)])
+    return numbers

@@ -36,8 +36,17 @@ ACTION_SCALINGS = ("bounds", "none")
 LIBRARY_FIELDS = (
     *("skills", "subgoal_horizon_s", "cameras", "workspace_camera", "image_size", "current_state", "history_state"),
     *("gripper_history_s", "encoder", "norm", "conv_channels", "keypoints", "image_feature", "subgoal_space"),
-    *("subgoal_dim", "head_widths", "heads", "shared_trunk", "chunk_size", "n_skills", "segmentation", "fps"),
-    *("representation", "render_profile", "state_names", "current_dims", "history_dims", "action_scaling"),
+    *(
+        "subgoal_dim",
+        "head_widths",
+        "heads",
+        "shared_trunk",
+        "chunk_size",
+        "n_action_steps",
+        "n_skills",
+        "segmentation",
+    ),
+    *("fps", "representation", "render_profile", "state_names", "current_dims", "history_dims", "action_scaling"),
     *("binary_dims",),
 )
 """Fields that say what the skills are: with `skills_path` they are those of the library."""
@@ -89,10 +98,8 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     conv_channels: list[int] = field(default_factory=lambda: [32, 64, 64])  # stages of "conv" (ours)
     keypoints: int = 64  # maps of the spatial softmax (notes)
     image_feature: int = 64  # released code
-    subgoal_space: str = (
-        "image"  # every skill encodes the goal's image (paper), or "latent": the goal frame's latent in
-    )
-    # the representation that the skills were found with, which is the same for all skills and does not move (ours)
+    subgoal_space: str = "image"  # each skill encodes the goal's image (paper), or "latent": the goal frame's latent
+    # in the representation that the skills were found with, the same for all skills and at all steps (ours)
     subgoal_dim: int = 32  # notes; with "latent" the representation says
     subgoal_noise: float = 0.1  # standard deviation, training only (notes)
     imagined_subgoals: float = 0.0  # share of training frames whose skills get imagined subgoals (ours)
@@ -162,6 +169,8 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         for name in ("imagined_subgoals", "memory_dropout"):
             if not 0 <= (value := getattr(self, name)) <= 1:
                 raise ConfigError(f"{name}={value} is a share: between 0 and 1.")
+        if self.memory_dropout == 1:
+            raise ConfigError("memory_dropout=1 would never train the memory; skill_memory=false does without.")
         if self.n_action_steps > self.chunk_size:
             raise ConfigError(f"n_action_steps={self.n_action_steps} is more than chunk_size={self.chunk_size} has.")
         if self.subgoal_space == "latent" and self.skills == "single":

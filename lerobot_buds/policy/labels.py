@@ -5,7 +5,7 @@ its batches. The tables are plain data of one process.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -15,8 +15,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_buds.core import STATE, DatasetError, IntArray, SegmentationError, segments_of, subgoals_of
-from lerobot_buds.data import LocalDataset, read_table
+from lerobot_buds.core import (
+    ACTION,
+    STATE,
+    CheckpointError,
+    DatasetError,
+    IntArray,
+    SegmentationError,
+    segments_of,
+    subgoals_of,
+)
+from lerobot_buds.data import FrameTable, LocalDataset, read_table, require_finite
 from lerobot_buds.representation import Representation, encode_dataset
 from lerobot_buds.segmentation import REPRESENTATION_DIR, load_labels
 
@@ -45,7 +54,8 @@ class Labels:
         held_for: ``(B,)`` int64 for how many frames.
         finished: ``(B, K)`` float32 how often every skill had been done before that one.
         history: ``(B, n, h)`` float32 gripper readings of the n frames before, oldest first.
-        weight: ``(B,)`` float32 weight of the skill's loss.
+        weight: ``(B,)`` float32 weight of `skill` in the loss.
+        neighbour_weight: The same of `neighbour`.
     """
 
     skill: Tensor
@@ -57,6 +67,7 @@ class Labels:
     finished: Tensor
     history: Tensor
     weight: Tensor
+    neighbour_weight: Tensor
 
     def in_batch(self) -> dict[str, Tensor]:
         """Names the labels as they stand in a batch."""
@@ -73,8 +84,8 @@ class Labels:
             return cls(**{field.name: batch[PREFIX + field.name] for field in fields(cls)})
         except KeyError as error:
             raise DatasetError(
-                f"The batch lacks {error}: a loss needs a policy that was built for a dataset, and batches that its "
-                "preprocessor has seen."
+                f"The batch lacks {error}: a loss needs batches that the policy's preprocessor has seen, of the "
+                "dataset that a policy was last built for in this process."
             ) from error
 
 
@@ -96,7 +107,7 @@ class LabelTable:
     def __init__(self, root: Path, config: BudsConfig) -> None:
         self.root, self.config = Path(root), config
         dims = config.history_dims or []
-        table = read_table(self.root, [STATE] if dims else [])
+        table = read_table(self.root, [ACTION, STATE] if config.state_size else [ACTION])
         self._starts, self._ends, self._present = table.starts, table.ends, table.present
         total = len(self._present)
         horizon = config.subgoal_horizon
@@ -118,8 +129,17 @@ class LabelTable:
         counts = np.bincount(self._skill[self._present], minlength=n_skills)
         balanced = counts.sum() / (n_skills * np.maximum(counts, 1))
         self._weight = (balanced if config.balance_skills else np.ones(n_skills)).astype(np.float32)
-        state = table.columns[STATE].reshape(total, -1) if dims else np.empty((total, 0))
+        self._actions = table.columns[ACTION].reshape(total, -1).astype(np.float32)
+        state = table.columns[STATE].reshape(total, -1) if config.state_size else np.empty((total, 0))
         self._readings = state[:, dims].astype(np.float32)
+        self._require_finite_state(table, state)
+
+    def _require_finite_state(self, table: FrameTable, state: NDArray[Any]) -> None:
+        used = sorted({*(self.config.current_dims or []), *(self.config.history_dims or [])})
+        names = self.config.state_names or [str(d) for d in range(state.shape[1])]
+        if used:
+            columns = {STATE: state[:, used].astype(np.float32)}
+            require_finite(replace(table, columns=columns), STATE, [names[d] for d in used])
 
     def _label_episode(self, rows: slice, horizon: int) -> None:
         """Fills in what follows from the skills of one episode."""
@@ -165,6 +185,22 @@ class LabelTable:
         """Images of the workspace camera."""
         return GoalImages(self.root, self.config, self._starts)
 
+    def holds(self, index: Tensor, actions: Tensor | None) -> bool:
+        """Tells whether a batch is of this dataset, by its actions.
+
+        Args:
+            index: ``(B,)`` int64 absolute frame indices.
+            actions: ``(B, ...)`` actions, the present one first; where there are none, only the indices tell.
+        """
+        rows = index.detach().cpu().numpy().astype(np.int64).reshape(-1)
+        if len(rows) and not 0 <= rows.min() <= rows.max() < len(self._skill):
+            return False
+        if actions is None:
+            return True
+        own = self._actions[rows]
+        given = actions.detach().cpu().float().numpy().reshape(len(rows), -1)[:, : own.shape[1]]
+        return np.array_equal(own, given)
+
     def lookup(self, index: Tensor, images: Mapping[str, Tensor]) -> Labels:
         """Collects the labels of a batch.
 
@@ -192,19 +228,24 @@ class LabelTable:
                 "Download the whole dataset, or run lerobot-buds-segment again."
             )
         if self.config.has_subgoals and self.config.subgoal_space == "image":
-            self.goal_images.recognise(rows, images[self.config.stacked_cameras[0]])
+            camera = self.config.stacked_cameras[0]
+            if camera not in images:
+                raise CheckpointError(f"The policy needs [{camera!r}], which the batch lacks. It has {sorted(images)}.")
+            self.goal_images.recognise(rows, images[camera])
         starts = self._starts[np.searchsorted(self._ends, rows, side="right")]
-        skill = self._skill[rows]
+        skill, neighbour, goal = self._skill[rows], self._neighbour[rows], self._goals(goals)
+        is_same = np.array_equal(goals, neighbour_goals)
         return Labels(
             skill=torch.from_numpy(skill),
-            goal=self._goals(goals),
-            neighbour=torch.from_numpy(self._neighbour[rows]),
-            neighbour_goal=self._goals(neighbour_goals),
+            goal=goal,
+            neighbour=torch.from_numpy(neighbour),
+            neighbour_goal=goal if is_same else self._goals(neighbour_goals),
             held=torch.from_numpy(self._held[rows]),
             held_for=torch.from_numpy(self._held_for[rows]),
             finished=torch.from_numpy(self._finished[rows]),
             history=torch.from_numpy(self._readings[history_rows(rows, starts, self.config.history_frames)]),
             weight=torch.from_numpy(self._weight[skill]),
+            neighbour_weight=torch.from_numpy(self._weight[neighbour]),
         )
 
     def _goals(self, frames: IntArray) -> Tensor:

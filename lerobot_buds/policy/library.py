@@ -4,6 +4,7 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
+from draccus.utils import ParsingError
 from lerobot.configs import PreTrainedConfig
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
@@ -56,10 +57,11 @@ class TrainedSkills:
             with safe_open(folder / _WEIGHTS, framework="pt") as file:
                 names = [name.removeprefix(_MODEL) for name in file.keys()]  # noqa: SIM118 (not a dictionary)
                 tensors = {n: file.get_tensor(_MODEL + n) for n in names if n.split(".")[0] in PARTS}
-        except (OSError, ValueError, KeyError, SafetensorError) as error:
+        except (OSError, ValueError, KeyError, SafetensorError, ParsingError) as error:
             raise CheckpointError(f"{name} holds no readable policy ({type(error).__name__}: {error}).") from error
         if not isinstance(config, BudsConfig) or not config.has_subgoals:
-            raise CheckpointError(f"{name} holds a policy of type {config.type!r} without skills to take over.")
+            kind = "flat policy" if isinstance(config, BudsConfig) else f"policy of type {config.type!r}"
+            raise CheckpointError(f"{name} holds a {kind}, without skills to take over.")
         assume_plain_actions(config)
         return cls(name, config, tensors)
 

@@ -78,6 +78,11 @@ class SkillMemory(nn.Module):
         present = F.one_hot(known, self.skills) * decided[:, None]
         return torch.cat([present, share[:, None], finished], dim=1)
 
+    def widen(self, shortest: Tensor, longest: Tensor) -> None:
+        """Takes in the segments of another dataset, which a checkpoint is trained further on."""
+        self.shortest.copy_(torch.minimum(self.shortest, shortest.to(self.shortest)))
+        self.longest.copy_(torch.maximum(self.longest, longest.to(self.longest)))
+
     def counts(self, held: Tensor, held_for: Tensor) -> Tensor:
         """Tells whether a skill that is left has been done, or only tried: ``(B,)`` bool.
 

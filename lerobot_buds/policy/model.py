@@ -19,7 +19,7 @@ from .proprioception import CONSTANT_BELOW, Proprioception
 from .skills import SkillLibrary
 
 BESIDE_SHARE = 0.4
-"""Share of the frames beside an edge that are trained with the skill of the other side (ours, measured)."""
+"""Share of the frames beside an edge that are trained with the skill of the other side (ours)."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class BudsModel(nn.Module):
         """
         if self.training:
             observation = replace(observation, images=random_shift(observation.images, self.config.crop_padding))
-        skill, goal = self._drawn_beside_edges(labels)
+        skill, goal, weight = self._drawn_beside_edges(labels)
         percept = self.encode(observation, labels.history)
         terms: dict[str, Tensor] = {}
         subgoal = percept.proprio[:, :0]
@@ -138,7 +138,7 @@ class BudsModel(nn.Module):
             subgoal = self._as_in_rollouts(subgoal, imagined)
         if self.config.skills_path is None or not self.training:
             outputs = self.skills(skill, percept.maps, subgoal, percept.told)
-            terms |= self._errors(outputs, actions, labels.weight, is_padding)
+            terms |= self._errors(outputs, actions, weight, is_padding)
         return terms
 
     def encode(self, observation: Observation, history: Tensor) -> Percept:
@@ -206,14 +206,15 @@ class BudsModel(nn.Module):
             "action_error": (misses * inside).sum(dim=1) / count,
         }
 
-    def _drawn_beside_edges(self, labels: Labels) -> tuple[Tensor, Tensor]:
+    def _drawn_beside_edges(self, labels: Labels) -> tuple[Tensor, Tensor, Tensor]:
         """Takes the skill of the other side for some frames beside an edge: decisions come early and late."""
         if not self.training or self.meta_controllers is None:
-            return labels.skill, labels.goal
+            return labels.skill, labels.goal, labels.weight
         beside = torch.rand(len(labels.skill), device=labels.skill.device) < BESIDE_SHARE
         shape = (-1, *(1,) * (labels.goal.ndim - 1))
         goal = torch.where(beside.view(shape), labels.neighbour_goal, labels.goal)
-        return torch.where(beside, labels.neighbour, labels.skill), goal
+        weight = torch.where(beside, labels.neighbour_weight, labels.weight)
+        return torch.where(beside, labels.neighbour, labels.skill), goal, weight
 
     def _as_in_rollouts(self, subgoal: Tensor, imagined: Tensor) -> Tensor:
         """Disturbs subgoals in training: some rows get what the meta controllers imagine, all get noise."""

@@ -50,10 +50,10 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self.config: BudsConfig = config
         library = TrainedSkills.read(config.skills_path) if config.skills_path and not from_checkpoint else None
         self._found = complete(config, dataset_meta, library, from_checkpoint)
-        labels = LabelTable(Path(dataset_meta.root), config) if dataset_meta is not None else None
-        if labels is not None:
-            offer_labels(labels)
-        self.model = BudsModel(config, *(None,) * 3 if from_checkpoint else (self._found, dataset_stats, labels))
+        self._labels = LabelTable(Path(dataset_meta.root), config) if dataset_meta is not None else None
+        if self._labels is not None:
+            offer_labels(self._labels)
+        self.model = BudsModel(config, *(None,) * 3 if from_checkpoint else (self._found, dataset_stats, self._labels))
         if library is not None:
             library.load_into(self.model)
             self._warn_of_unreachable_actions()
@@ -68,6 +68,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         """Reads a checkpoint, see LeRobot's method of the same name; frozen skills are part of it."""
         policy: Self = super().from_pretrained(pretrained_name_or_path, from_checkpoint=True, **kwargs)
         policy._warn_of_unreachable_actions()
+        if policy._labels is not None and policy.model.meta_controllers is not None:
+            policy.model.memory.widen(*map(torch.from_numpy, (policy._labels.shortest, policy._labels.longest)))
         return policy
 
     def _warn_of_unreachable_actions(self) -> None:
@@ -181,5 +183,5 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return None if rollout is None else rollout.skill
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leaves rollouts out of copies: they belong to one process."""
-        return {**self.__dict__, "_rollouts": {}}
+        """Leaves labels and rollouts out of copies: they belong to one process."""
+        return {**self.__dict__, "_labels": None, "_rollouts": {}}

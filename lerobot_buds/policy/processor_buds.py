@@ -34,7 +34,7 @@ def offer_labels(labels: LabelTable) -> None:
 
 
 class LabelsStep(ProcessorStep):  # type: ignore[misc]
-    """Joins `Labels` to batches of the dataset that the policy was last built for; other batches have no ``index``.
+    """Joins `Labels` to batches of the dataset that a policy was last built for; others, as rollouts', pass unchanged.
 
     It is not in LeRobot's registry, so that checkpoints find it by its module, whatever has been imported before.
     """
@@ -42,10 +42,11 @@ class LabelsStep(ProcessorStep):  # type: ignore[misc]
     def __call__(self, transition: EnvTransition) -> EnvTransition:
         """Adds what `LabelTable.lookup` finds to the complementary data."""
         data = transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}
-        if INDEX not in data or not _offered:
+        index, actions = data.get(INDEX), transition.get(TransitionKey.ACTION)
+        if index is None or not _offered or not _offered[0].holds(index, actions):
             return transition
         observation = transition.get(TransitionKey.OBSERVATION) or {}
-        labels = _offered[0].lookup(data[INDEX], observation)
+        labels = _offered[0].lookup(index, observation)
         joined: EnvTransition = {**transition, TransitionKey.COMPLEMENTARY_DATA: {**data, **labels.in_batch()}}
         return joined
 

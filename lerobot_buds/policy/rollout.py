@@ -8,6 +8,7 @@ from torch import Tensor
 
 from .inputs import Observation
 from .labels import UNDECIDED
+from .meta_controller import SkillMemory
 from .model import BudsModel, Percept
 
 Override = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -24,6 +25,8 @@ class Rollout:
         steps_left: ``(B,)`` int64 steps for which the decision still holds.
         held_for: ``(B,)`` int64 steps for which the skill has been in force.
         finished: ``(B, K)`` how often every skill had been done before it.
+        previous: ``(B,)`` int64 skill that was in force before it, or `UNDECIDED`.
+        previous_for: ``(B,)`` int64 steps for which that had been.
         history: ``(B, n, h)`` last n gripper readings, oldest first, without the current one.
         plan: ``(B, m, A)`` the next actions, in the unit of the dataset.
         planned: ``(B,)`` int64 how many of them are to be carried out.
@@ -34,6 +37,8 @@ class Rollout:
     steps_left: Tensor
     held_for: Tensor
     finished: Tensor
+    previous: Tensor
+    previous_for: Tensor
     history: Tensor
     plan: Tensor
     planned: Tensor
@@ -50,6 +55,8 @@ class Rollout:
             steps_left=none,
             held_for=none,
             finished=torch.zeros(batch, config.n_skills or 1, device=device),
+            previous=none + UNDECIDED,
+            previous_for=none,
             history=reading[:, None].repeat(1, config.history_frames, 1),
             plan=torch.zeros(batch, config.chunk_size, int(config.action_feature.shape[0]), device=device),
             planned=none,
@@ -118,16 +125,29 @@ class Rollout:
         return model.decide(situation, noise.to(percept.images)[rows])
 
     def _hold(self, model: BudsModel, rows: Tensor, skill: Tensor, subgoal: Tensor) -> None:
-        """Puts new decisions of some rows into force, and remembers what was done until now."""
-        before = self.skill[rows]
-        done = (skill != before) & model.memory.counts(before, self.held_for[rows])
-        finished = self.finished[rows].scatter_add(1, before.clamp(min=0)[:, None], done[:, None].to(self.finished))
-        # Not in place: a rollout may be carried in and out of torch's inference mode.
-        self.finished = self.finished.index_copy(0, rows, finished)
-        self.held_for = self.held_for.index_copy(0, rows, self.held_for[rows] * (skill == before))
+        """Puts new decisions of some rows into force."""
+        self._remember(model.memory, rows, skill)
+        # Not in place, here and below: a rollout may be carried in and out of torch's inference mode.
         self.skill = self.skill.index_copy(0, rows, skill)
         self.subgoal = self.subgoal.index_copy(0, rows, subgoal.to(self.subgoal.dtype))
         self.steps_left = self.steps_left.index_fill(0, rows, model.config.meta_period)
+
+    def _remember(self, memory: SkillMemory, rows: Tensor, skill: Tensor) -> None:
+        """Counts what was done until now; a skill that was left for a moment only goes on as if it had not been."""
+        before, held_for = self.skill[rows], self.held_for[rows]
+        previous, previous_for = self.previous[rows], self.previous_for[rows]
+        left = (skill != before) & (before >= 0)
+        done = left & memory.counts(before, held_for)
+        is_back = left & ~done & (skill == previous)
+        finished = self.finished[rows]
+        finished = finished.scatter_add(1, before.clamp(min=0)[:, None], done[:, None].to(finished))
+        taken_back = is_back & memory.counts(previous, previous_for)
+        finished = finished.scatter_add(1, skill[:, None], -taken_back[:, None].to(finished))
+        since = torch.where(is_back, previous_for + held_for, torch.where(left, 0, held_for))
+        self.finished = self.finished.index_copy(0, rows, finished)
+        self.held_for = self.held_for.index_copy(0, rows, since)
+        self.previous = self.previous.index_copy(0, rows, torch.where(left & ~is_back, before, previous))
+        self.previous_for = self.previous_for.index_copy(0, rows, torch.where(left & ~is_back, held_for, previous_for))
 
     def _advance(self, reading: Tensor) -> Tensor:
         """Ends a step with a ``(B, h)`` gripper reading, and returns its ``(B, A)`` actions."""

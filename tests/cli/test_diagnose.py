@@ -59,7 +59,9 @@ def test_a_flat_policy_has_one_row(options, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["lerobot-buds-diagnose", *options(skills="flat")])
     diagnose.main()
     printed = capsys.readouterr().out.splitlines()  # after what LeRobot says of the weights
-    assert [line.split()[0] for line in printed[-2:]] == ["squared", "chosen"] and not any("held" in line for line in printed)
+    assert [line.split()[0] for line in printed[-2:]] == ["squared", "chosen"] and not any(
+        "held" in line for line in printed
+    )
 
 
 def test_a_checkpoint_must_be_named():

@@ -96,9 +96,9 @@ def test_a_meta_controller_that_is_right_chooses_what_is_held(made, monkeypatch)
     """What it chooses are labels and goals: the errors are those of the truth."""
     policy, frames = made(subgoal_space="latent", chunk_size=3, n_action_steps=3)
     act_along, truth = diagnosis._act_along, diagnosis._Truth
-    rows, _ = diagnosis._lockstep(frames, EPISODES)
+    rows, real = diagnosis._lockstep(frames, EPISODES)
     with torch.no_grad():
-        known = truth.of(policy.model, frames, rows, np.random.default_rng(0))
+        known = truth.of(policy.model, frames, rows, torch.from_numpy(real), np.random.default_rng(0))
     always_right = [known.skills, known.exact]
     monkeypatch.setattr(diagnosis, "_act_along", lambda *given: act_along(*given[:3], *(given[3:] or always_right)))
     report = diagnose(policy, frames, EPISODES)
@@ -129,10 +129,11 @@ def test_distances_to_boundaries() -> None:
 
 
 def test_shuffled_subgoals_stay_with_their_skill() -> None:
-    skills = torch.tensor([[0, 1], [0, 1], [0, 1], [1, 1]])
-    subgoals = torch.arange(8.0).view(4, 2, 1)
-    shuffled = diagnosis._shuffled(skills, subgoals, np.random.default_rng(3))
-    assert not torch.equal(shuffled, subgoals)
+    skills = torch.tensor([[0, 1], [0, 1], [0, 1], [1, 1], [1, 1]])
+    subgoals = torch.arange(10.0).view(5, 2, 1)
+    real = torch.tensor([[True, True]] * 4 + [[True, False]])
+    shuffled = diagnosis._shuffled(skills, subgoals, real, np.random.default_rng(3))
+    assert not torch.equal(shuffled, subgoals) and shuffled[4, 1] == 9  # padding is dealt out to nobody
     for skill in (0, 1):
         before, after = subgoals[skills == skill].flatten(), shuffled[skills == skill].flatten()
         assert sorted(after.tolist()) == before.tolist()

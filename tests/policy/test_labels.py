@@ -1,6 +1,7 @@
 """What the dataset says about its frames: skills, goals, what is beside them, and what came before."""
 
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.datasets import LeRobotDataset
 
 from lerobot_buds.core import (
+    ACTION,
     EYE_IN_HAND_CAMERA,
     STATE,
     WORKSPACE_CAMERA,
@@ -16,7 +18,7 @@ from lerobot_buds.core import (
     DatasetError,
     SegmentationError,
 )
-from lerobot_buds.data import read_table
+from lerobot_buds.data import FrameTable, read_table
 from lerobot_buds.policy.inputs import Observation
 from lerobot_buds.policy.labels import UNDECIDED, Labels, LabelTable, history_rows
 from lerobot_buds.policy.meta_controller import SkillMemory
@@ -57,7 +59,7 @@ def labelled(build, monkeypatch):
         config.n_skills = max(skills) + 1
         table = LabelTable.__new__(LabelTable)
         monkeypatch.setattr("lerobot_buds.policy.labels.load_labels", lambda _: (Record(horizon), *arrays))
-        monkeypatch.setattr("lerobot_buds.policy.labels.read_table", lambda *_: Table(len(skills)))
+        monkeypatch.setattr("lerobot_buds.policy.labels.read_table", lambda *_: table_of(len(skills)))
         labels = np.array(skills)
         arrays = labels, np.zeros_like(labels)  # goals are not asked for
         table.__init__("nowhere", config)
@@ -72,12 +74,11 @@ class Record:
         self.horizon = horizon
 
 
-class Table:
+def table_of(frames):
     """What `read_table` finds of one episode."""
-
-    def __init__(self, frames):
-        self.starts, self.ends, self.present = np.array([0]), np.array([frames]), np.ones(frames, dtype=bool)
-        self.columns = {STATE: np.zeros((frames, 5))}
+    columns = {STATE: np.zeros((frames, 5)), ACTION: np.zeros((frames, 4))}
+    one = np.array([0])
+    return FrameTable(Path("nowhere"), 20.0, one, one, np.array([frames]), columns, np.ones(frames, dtype=bool))
 
 
 def test_goals_are_the_frames_at_min_of_horizon_boundary_and_end(table, look_up, dataset_root, labels, horizon):
@@ -267,3 +268,13 @@ def test_labels_join_the_batches_of_the_dataset_and_no_others(build, batch_of):
     observation = {key: value for key, value in batch.items() if key.startswith(("observation", "action"))}
     with pytest.raises(DatasetError, match=r"labels\.skill.*preprocessor"):
         policy(observation)
+
+
+def test_a_state_that_is_no_number_is_refused(build, meta, monkeypatch):
+    """Where the policy reads it; with it every loss would be NaN."""
+    config = build().config
+    table = read_table(meta.root, [ACTION, STATE])
+    table.columns[STATE][7, config.current_dims[0]] = np.nan
+    monkeypatch.setattr("lerobot_buds.policy.labels.read_table", lambda *_: table)
+    with pytest.raises(DatasetError, match=r"observation.state.*is nan in episode 0, frame 7"):
+        LabelTable(Path(meta.root), config)

@@ -9,6 +9,7 @@ import torch
 from lerobot_buds.policy.inputs import Observation, read_actions, read_inputs
 from lerobot_buds.policy.labels import UNDECIDED, Labels
 from lerobot_buds.policy.meta_controller import MEMORY_SAY
+from lerobot_buds.policy.modeling_buds import BudsPolicy
 
 META = ("skill_id_loss", "subgoal_loss", "kl_loss")
 
@@ -33,16 +34,16 @@ def test_the_memory_has_its_say(build):
     assert not any(torch.allclose(logits[i], logits[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
 
 
-@pytest.mark.parametrize("settings", [{"memory_dropout": 1.0}, {"skill_memory": False}])
+@pytest.mark.parametrize("settings", [{"memory_dropout": 0.9999999}, {"skill_memory": False}])
 def test_a_memory_that_does_not_count_changes_nothing(build, settings):
-    """In training with dropout 1, and without a memory always."""
+    """In training with (almost) all of it dropped, and without a memory always."""
     logits = logits_of(build(**settings).model.train(), *PASTS)
     torch.testing.assert_close(logits, logits[:1].expand(3, -1))
 
 
 def test_what_is_seen_keeps_its_say_where_the_memory_counts(build):
     """Logits of both add up."""
-    model = build(memory_dropout=1.0).model
+    model = build(memory_dropout=0.9999999).model
     seen = logits_of(model.train(), *PASTS)
     (controller,) = model.meta_controllers.controllers
     memory = model.memory(*(torch.tensor(value) for value in PASTS))
@@ -118,13 +119,23 @@ def test_a_rollout_keeps_count_of_what_was_done(build, batch_of):
         (0, 5, [0, 0]),
         (0, 10, [0, 0]),
         (1, 5, [1, 0]),  # half of 20 was enough
-        (0, 5, [1, 0]),  # half of 11 was not
-        (0, 10, [1, 0]),
-        (0, 15, [1, 0]),
-        (1, 5, [2, 0]),
-        (1, 10, [2, 0]),
+        (0, 20, [0, 0]),  # half of 11 was not: skill 0 goes on as if it had not been left
+        (0, 25, [0, 0]),
+        (0, 30, [0, 0]),
+        (1, 5, [1, 0]),
+        (1, 10, [1, 0]),
     ]
-    assert policy._rollouts[threading.get_ident()].finished.tolist() == [[2, 1]]
+    assert policy._rollouts[threading.get_ident()].finished.tolist() == [[1, 1]]
+
+
+def test_a_checkpoint_takes_in_the_segments_of_the_dataset_it_is_trained_on(build, meta, tmp_path):
+    policy = build()
+    policy.model.memory.shortest.fill_(40.0)
+    policy.model.memory.longest.fill_(2.0)
+    policy.save_pretrained(tmp_path)
+    memory = BudsPolicy.from_pretrained(tmp_path, dataset_meta=meta).model.memory
+    fresh = build().model.memory
+    assert torch.equal(memory.shortest, fresh.shortest) and torch.equal(memory.longest, fresh.longest)
 
 
 def test_labels_of_a_validation_are_those_of_the_frames(build, batch_of):

@@ -260,7 +260,6 @@ def test_skills_of_a_library_act_as_they_did(build, batch, tmp_path, space):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"chunk_size": 3, "n_action_steps": 3}, "n_action_steps=3 is more than chunk_size=1"),
         ({"shared_trunk": True, "meta_trunk": "skills"}, "needs shared_trunk"),
     ],
 )

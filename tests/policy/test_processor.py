@@ -21,7 +21,7 @@ def raw(dataset_root):
 
 def test_a_loss_needs_labels(build, raw):
     policy = build()
-    with pytest.raises(DatasetError, match=r"lacks 'labels.skill'.*its preprocessor"):
+    with pytest.raises(DatasetError, match=r"lacks 'labels.skill'.*preprocessor"):
         policy(raw(0, 12))
 
 
@@ -31,6 +31,18 @@ def test_labels_join_the_dataset_of_the_policy_built_last(build, raw):
     assert Labels.of(prepare(raw(5, 12))).skill.tolist() == [1, 1]
     build(skills="single")
     assert Labels.of(prepare(raw(5, 12))).skill.tolist() == [0, 0]
+
+
+def test_batches_of_another_dataset_get_no_labels(build, raw):
+    """A loss is refused then; with the labels of the wrong dataset it would be computed."""
+    policy = build()
+    prepare, _ = make_pre_post_processors(policy.config)
+    batch = raw(5, 12)
+    others = [{**batch, "action": batch["action"] + 1}, {**batch, "index": batch["index"] + 1000}]
+    for other in others:
+        assert not [key for key in prepare(other) if key.startswith(PREFIX)]
+        with pytest.raises(DatasetError, match=r"lacks 'labels.skill'.*last built for"):
+            policy(prepare(other))
 
 
 def test_a_single_frame_gets_labels_of_one_row(build, dataset_root):

@@ -65,12 +65,12 @@ def test_frames_beside_an_edge_are_shared_out_in_training(build, batch_of, space
     labels = many(Labels.of(batch_of(5)), 2000)  # the first frame of skill 1: skill 0 is at its goal here
     assert labels.skill[0] == 1 and labels.neighbour[0] == 0
     torch.manual_seed(0)
-    skill, goal = model.train()._drawn_beside_edges(labels)
+    skill, goal, _ = model.train()._drawn_beside_edges(labels)
     beside = skill == 0
     assert beside.float().mean() == pytest.approx(BESIDE_SHARE, abs=0.04)
     assert torch.equal(goal[beside], labels.neighbour_goal[beside]) and torch.equal(goal[~beside], labels.goal[~beside])
     assert not torch.equal(labels.goal[0], labels.neighbour_goal[0])
-    skill, goal = model.eval()._drawn_beside_edges(labels)
+    skill, goal, _ = model.eval()._drawn_beside_edges(labels)
     assert torch.equal(skill, labels.skill) and torch.equal(goal, labels.goal)
 
 
