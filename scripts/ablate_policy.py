@@ -67,7 +67,6 @@ def train(config: AblationConfig) -> None:
     rows = np.concatenate([np.arange(frames.starts[e], frames.ends[e]) for e in np.setdiff1d(episodes, held_out)])
     optimizer = policy.config.get_optimizer_preset().build(policy.get_optim_params())
     scheduler = policy.config.get_scheduler_preset().build(optimizer, config.steps)
-    weights = {"skill_loss": 1.0, "skill_id_loss": 1.0, "subgoal_loss": 1.0, "kl_loss": policy.config.kl_weight}
     policy.train()
     shown: dict[str, float] = {}
     began = time.perf_counter()
@@ -78,7 +77,7 @@ def train(config: AblationConfig) -> None:
                 order = rng.permutation(rows)
             batch, order = order[: config.batch_size], order[config.batch_size :]
             terms = policy.model(frames.observation(batch), frames.labels(batch), *frames.actions(batch))
-            loss = torch.stack([weights[name] * term for name, term in terms.items() if name in weights]).sum(0).mean()
+            loss = policy.model.loss(terms).mean()
             optimizer.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(policy.parameters(), policy.config.optimizer_grad_clip_norm)

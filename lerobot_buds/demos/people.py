@@ -7,15 +7,12 @@ of people's own demonstrations in docs/human.md.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
-from typing import TypeVar
 
 import numpy as np
 
 from lerobot_buds.envs import FPS, SimulationView
 
-from .motions import COARSE, Action, Demonstrator, Manner, Target, Vec
-
-Choice = TypeVar("Choice")
+from .motions import COARSE, Action, Choice, Demonstrator, Manner, Target, Vec
 
 _SPEED_MEMORY = 0.93
 _STARTING = 12

@@ -111,8 +111,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         observation = read_inputs(self.config, batch)
         actions = read_actions(self.config, batch)
         terms = self.model(observation, Labels.of(batch), actions, batch.get("action_is_pad"))
-        weights = {"skill_loss": 1.0, "skill_id_loss": 1.0, "subgoal_loss": 1.0, "kl_loss": self.config.kl_weight}
-        loss = torch.stack([weights[name] * term for name, term in terms.items() if name in weights]).sum(dim=0)
+        loss = self.model.loss(terms)
         means = torch.stack([term.detach().float().mean() for term in terms.values()]).tolist()
         return loss if reduction == "none" else loss.mean(), dict(zip(terms, means, strict=True))
 
