@@ -57,6 +57,9 @@ class SegmentConfig(DatasetOptions):
     representation_path: str | None = None
     """A finished representation to use instead: its folder, or its repository on the Hub."""
 
+    representation_only: bool = False
+    """Trains the representation, leaves it in `work_dir`, and ends; several segmentations can use it then."""
+
     discovery: DiscoveryConfig = field(default_factory=DiscoveryConfig)
     """Settings of skill discovery."""
 
@@ -74,7 +77,8 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
     """Runs the whole pass; an interrupted one goes on where it was. What cannot work is refused before the training.
 
     Returns:
-        What was found; None in all but the first process of ``accelerate launch``, which share the training alone.
+        What was found; None with `representation_only`, and in all but the first process of ``accelerate launch``,
+        which share the training alone.
 
     Raises:
         DatasetError: The dataset is damaged or incomplete, or another process is at the same work or output.
@@ -94,6 +98,9 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
     with only_writer(work_dir):
         for folder in (work_dir, work_dir / "representation"):
             remove_leftovers(folder)
+        if config.representation_only:
+            _represent(config, dataset, work_dir)
+            return None
         found = _discover(config, dataset, work_dir)
         stages = true_stages(dataset) if TRUE_STAGE in dataset.features else None
         record = _record(config, dataset, found, stages)
@@ -114,12 +121,25 @@ def _take_share(config: SegmentConfig, dataset: LocalDataset, work_dir: Path) ->
     encode_dataset(dataset, representation)
 
 
+def _represent(config: SegmentConfig, dataset: LocalDataset, work_dir: Path) -> None:
+    """Trains the representation and encodes the dataset, for segmentations to come."""
+    wanted = config.representation
+    _check_data(dataset, wanted.cameras, wanted.proprioception != [], wanted.side)
+    representation = train_representation(dataset, wanted, work_dir / "representation")
+    encode_dataset(dataset, representation)
+    if representation.draws:
+        draw_reconstructions(dataset, representation, work_dir / "reconstructions.png")
+    logger.info("The representation is in %s: use it by --representation_path.", work_dir / "representation")
+
+
 def _check(config: SegmentConfig, dataset: LocalDataset, output: Path, work_dir: Path) -> None:
     """Refuses what cannot work, what takes least time to find out first."""
     if not config.subgoal_horizon_s > 0:
         raise ConfigError(f"subgoal_horizon_s={config.subgoal_horizon_s} must be positive.")
     if config.grow and config.library is None:
         raise ConfigError("grow=true opens new skills beside those of a library, but there is no library.")
+    if config.representation_only and (config.library or config.representation_path):
+        raise ConfigError("representation_only=true trains one: leave out library and representation_path.")
     if work_dir.resolve().is_relative_to(dataset.root.resolve()):
         raise ConfigError(f"work_dir={work_dir} lies in {dataset.root}, which is only read; choose a folder outside.")
     for name, place, unused in (
@@ -133,7 +153,8 @@ def _check(config: SegmentConfig, dataset: LocalDataset, output: Path, work_dir:
                 "it or them (also in the settings file)."
             )
     _discovery(config).build(dataset.fps).check([int(episode["length"]) for episode in dataset.episodes])
-    check_target(dataset, output)
+    if not config.representation_only:
+        check_target(dataset, output)
 
 
 def _discover(config: SegmentConfig, dataset: LocalDataset, work_dir: Path) -> DiscoveredSkills:

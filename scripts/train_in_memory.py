@@ -1,6 +1,6 @@
-"""Trains one variant of the policy on frames in memory, and diagnoses it on demonstrations that were held out.
+"""Trains the policy on frames in memory, and diagnoses it on demonstrations that were held out.
 
-    python scripts/ablate_policy.py --root=outputs/skills --output_dir=outputs/ablation/cpu --steps=4000 \
+    python scripts/train_in_memory.py --root=outputs/skills --output_dir=outputs/policy --steps=6000 \
         --policy="include configs/policy/buds_cpu.yaml"
 
 Loss, optimiser and schedule are those of lerobot-train; its loader, which takes most of the time with small networks,
@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from lerobot_buds.cli.running import parse
 from lerobot_buds.core import write_json
+from lerobot_buds.data import LocalDataset
 from lerobot_buds.evaluation.diagnosis import diagnose
 from lerobot_buds.evaluation.recorded import RecordedFrames
 from lerobot_buds.policy import BudsConfig
@@ -28,11 +29,11 @@ from lerobot_buds.policy.modeling_buds import BudsPolicy
 
 
 @dataclass
-class AblationConfig:
+class TrainingConfig:
     """Settings of one training."""
 
     root: Path
-    """Folder of the segmented dataset."""
+    """Folder of the dataset, segmented unless the policy does without."""
 
     output_dir: Path
     """Where checkpoint and figures go."""
@@ -46,6 +47,9 @@ class AblationConfig:
     batch_size: int = 64
     """Frames a step."""
 
+    episodes: list[int] | None = None
+    """Episodes to use, by number; all where None."""
+
     held_out: int = 0
     """Every n-th episode is not trained on, and diagnosed; 0 for none."""
 
@@ -53,15 +57,16 @@ class AblationConfig:
     """Seed of weights and batches."""
 
 
-def train(config: AblationConfig) -> None:
+def train(config: TrainingConfig) -> None:
     """Trains, saves, diagnoses."""
     torch.set_num_threads(1)
     torch.manual_seed(config.seed)
     rng = np.random.default_rng(config.seed)
-    meta = LeRobotDatasetMetadata("local/ablation", root=config.root)
+    meta = LeRobotDatasetMetadata("local/demonstrations", root=config.root)
     policy = make_policy(config.policy, ds_meta=meta)
     assert isinstance(policy, BudsPolicy)
-    frames = RecordedFrames(config.root, policy.config)
+    chosen = None if config.episodes is None else tuple(config.episodes)
+    frames = RecordedFrames(LocalDataset(config.root, chosen), policy.config)
     episodes = np.arange(len(frames.starts))
     held_out = episodes[config.held_out // 2 :: config.held_out] if config.held_out else episodes[:0]
     rows = np.concatenate([np.arange(frames.starts[e], frames.ends[e]) for e in np.setdiff1d(episodes, held_out)])
@@ -95,10 +100,10 @@ def train(config: AblationConfig) -> None:
     report = {"steps": config.steps, "seconds": round(seconds, 1), "seed": config.seed, "losses": shown}
     if len(held_out):
         report["held_out"] = diagnose(policy, frames, held_out)
-    write_json(config.output_dir / "ablation.json", report)
+    write_json(config.output_dir / "training.json", report)
     logging.info("%s", report)
 
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
-    train(parse(AblationConfig))
+    train(parse(TrainingConfig))

@@ -1,0 +1,34 @@
+"""The paper's experiments: as data, as stages that run public commands, and as a report of what they came to."""
+
+from .experiment import Cell, Experiment, Recipe, Size
+from .report import planned_table, write_report
+from .reproduction import Reproduction
+from .results import CellResult, Paired, Pooled, Trial, collect_result, paired, result_path
+from .running import StageError, Workplace, local_launcher, run_stages, stop_commands, submitit_launcher
+from .stages import Run, Stage, plan
+
+__all__ = [
+    "Cell",
+    "CellResult",
+    "Experiment",
+    "Paired",
+    "Pooled",
+    "Recipe",
+    "Reproduction",
+    "Run",
+    "Size",
+    "Stage",
+    "StageError",
+    "Trial",
+    "Workplace",
+    "collect_result",
+    "local_launcher",
+    "paired",
+    "plan",
+    "planned_table",
+    "result_path",
+    "run_stages",
+    "stop_commands",
+    "submitit_launcher",
+    "write_report",
+]
