@@ -11,7 +11,7 @@ import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from signal import SIGTERM, signal
@@ -55,6 +55,9 @@ class ReproduceConfig:
     seeds: list[int] = field(default_factory=list)
     """Seeds of the trainings; those of the size where none is given."""
 
+    trials: int | None = None
+    """Most trials of one training; None for what the size says. More are added to those that were run."""
+
     output_dir: Path = Path("outputs/reproduction")
     """Folder of all stages; with several machines, on a disk that they share."""
 
@@ -87,6 +90,7 @@ def reproduce(config: ReproduceConfig) -> int:
     """Runs what is asked for; returns the status of the command."""
     chosen = [Experiment.read(file) for file in _files(EXPERIMENTS, config.experiments)]
     size = Size.read(_files(EXPERIMENTS / "sizes", [config.size])[0])
+    size = size if config.trials is None else replace(size, most_trials=config.trials)
     cells = [cell for experiment in chosen for cell in experiment.cells if _is_wanted(cell, config)]
     if not cells:
         raise ConfigError(f"No cell has a row like {config.rows!r} and a method like {config.methods!r}.")

@@ -69,9 +69,8 @@ class Reproduction:
         for run in self.runs:
             path = result_path(self.results, run)
             if all(self.workplace.is_done(stage) for stage in run.stages):
-                result = collect_result(run, self.workplace)
                 if not path.exists() or path.stat().st_mtime < self._newest(run):
-                    result.write(path)
+                    collect_result(run, self.workplace).write(path)
                 paths.append(path)
         return paths
 

@@ -141,12 +141,11 @@ def collect_result(run: Run, workplace: Workplace) -> CellResult:
 
 
 def _trials(stage: Stage, workplace: Workplace) -> list[Trial]:
-    """Reads the trials that were asked for; episodes that the simulator lost are none."""
+    """Reads all trials that were run; episodes that the simulator lost are none."""
     record = RolloutRecord.read(workplace.folder(stage) / "rollouts")
-    episodes = zip(record.episodes, failures_of(record), strict=True)
     return [
         Trial(record.task, e.seed, e.success, e.length, e.stage_steps, e.switches, failure)
-        for e, failure in list(episodes)[: stage.amount["episodes"]]
+        for e, failure in zip(record.episodes, failures_of(record), strict=True)
         if not e.error
     ]
 
