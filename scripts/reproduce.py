@@ -74,7 +74,7 @@ class ReproduceConfig:
     """Only lists what would be run, and how long it took when it was run before."""
 
     report_only: bool = False
-    """Only makes the report of the results that are there."""
+    """Runs nothing: writes the results of what is done, and makes the report of all results that are there."""
 
     launcher: str = "local"
     """Where stages run: ``local``, or through ``submitit`` (SLURM, or its local processes)."""
@@ -101,7 +101,9 @@ def reproduce(config: ReproduceConfig) -> int:
         print(planned_table(reproduction), end="")
         return 0
     errors = []
-    if not config.report_only:
+    if config.report_only:
+        reproduction.write_results()
+    else:
         with _stopping_commands():
             errors = reproduction.run(_launcher(config, workplace), config.jobs, config.max_minutes)
         for error in errors:

@@ -140,6 +140,8 @@ class Experiment:
         rows: Names of the rows.
         methods: Names of the columns.
         cells: Its figures, row by row.
+        reference: Method that the others are compared with on the same episodes.
+        short: What README calls its rows, before the row's name.
         failures: Row -> class of failure -> mean and spread of its share of the paper's trials (%).
     """
 
@@ -149,6 +151,8 @@ class Experiment:
     rows: tuple[str, ...]
     methods: tuple[str, ...]
     cells: tuple[Cell, ...]
+    reference: str
+    short: str = ""
     failures: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
     @classmethod
@@ -159,9 +163,11 @@ class Experiment:
             ConfigError: It cannot be read, or has settings that are unknown.
         """
         content = _read(path)
-        unknown = set(content) - {"title", "about", "recipe", "rows", "methods", "published", "failures"}
-        if unknown or not {"title", "rows", "methods"} <= set(content):
-            raise ConfigError(f"{path}: it needs title, rows and methods, and {sorted(unknown)} are unknown.")
+        unknown = set(content) - {"title", "about", "recipe", "rows", "methods", "published", "failures", "reference", "short"}
+        if absent := {"title", "rows", "methods", "reference"} - set(content):
+            raise ConfigError(f"{path}: there is no {sorted(absent)}.")
+        if unknown:
+            raise ConfigError(f"{path}: {sorted(unknown)} are unknown.")
         common, published = content.get("recipe", {}), content.get("published", {})
         cells = tuple(
             _cell(path, (row, method), [common, row_recipe, method_recipe], published.get(row, {}).get(method))
@@ -170,7 +176,22 @@ class Experiment:
             if method not in row_recipe.get("without", [])
         )
         rows, methods = (tuple(str(name) for name in content[kind]) for kind in ("rows", "methods"))
-        return cls(path.stem, content["title"], content.get("about", ""), rows, methods, cells, content.get("failures", {}))
+        return cls(
+            name=path.stem,
+            title=content["title"],
+            about=content.get("about", ""),
+            rows=rows,
+            methods=methods,
+            cells=cells,
+            reference=content["reference"],
+            short=content.get("short", ""),
+            failures=content.get("failures", {}),
+        )
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether the paper has no figure of it."""
+        return all(cell.published is None for cell in self.cells)
 
 
 def _cell(path: Path, names: tuple[Any, Any], parts: list[Mapping[str, Any]], published: Any) -> Cell:
