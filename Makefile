@@ -4,7 +4,7 @@ READY := .venv/.ready
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint doctor
+.PHONY: help setup demo reproduce test lint doctor
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
@@ -14,6 +14,12 @@ setup: ## install everything into .venv (and system packages, as root on Debian)
 
 demo: $(READY) ## collect, segment, train and evaluate one task
 	$(BIN)/python scripts/demo.py
+
+TABLE ?= 1
+SIZE ?= cpu
+JOBS ?= 2
+reproduce: $(READY) ## run a table of the paper: TABLE=1 to 4, SIZE=smoke, cpu or paper, JOBS=2
+	$(BIN)/python scripts/reproduce.py --experiments='[table$(TABLE)]' --size=$(SIZE) --jobs=$(JOBS)
 
 test: $(READY) ## run all tests
 	$(BIN)/python -m pytest

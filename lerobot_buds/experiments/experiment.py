@@ -168,6 +168,8 @@ class Experiment:
             raise ConfigError(f"{path}: there is no {sorted(absent)}.")
         if unknown:
             raise ConfigError(f"{path}: {sorted(unknown)} are unknown.")
+        if content["reference"] not in content["methods"]:
+            raise ConfigError(f"{path}: reference={content['reference']!r} is none of its methods.")
         common, published = content.get("recipe", {}), content.get("published", {})
         cells = tuple(
             _cell(path, (row, method), [common, row_recipe, method_recipe], published.get(row, {}).get(method))

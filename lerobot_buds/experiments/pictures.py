@@ -45,6 +45,7 @@ def draw_experiment(
                     error = [[100 * (rate.rate - rate.low)], [100 * (rate.high - rate.rate)]]
                     axes.bar(at, 100 * rate.rate, step, yerr=error, color=OUR_COLOURS[n - 1], capsize=2)
         axes.set_xticks(range(len(cells)), [cell.method.replace(" (", "\n(").replace(", ", ",\n") for cell in cells])
+        axes.set_xlim(-0.6, len(cells) - 0.4)
         axes.set_title(row, fontsize=10)
         axes.set_ylim(0, 105)
         axes.spines[["top", "right"]].set_visible(False)

@@ -165,23 +165,21 @@ def _failures(experiment: Experiment, found: Sequence[tuple[Cell, Pooled]]) -> l
 
 
 def _not_run(experiment: Experiment, sizes: Sequence[Size], results: Results) -> str:
-    """Lists what there is no result of, with the command that would make it."""
+    """Lists what there is no result of, with the command that would make it, and what the paper has for it."""
     lines = []
+    if not results and not experiment.is_ours:
+        lines.append(f"Published: {_named([cell for cell in experiment.cells if cell.published])}.\n")
     for size in sizes:
-        absent = [c for c in experiment.cells if (size.name, c.row, c.method) not in results]
-        if not absent:
-            continue
-        command = f"python scripts/reproduce.py --experiments='[{experiment.name}]' --size={size.name}"
-        if len(absent) == len(experiment.cells):
-            figures = "; ".join(f"{c.row}, {c.method}: {_published(c.published)}" for c in absent if c.published)
-            published = "" if results or not figures else f" Published: {figures}."
-            lines.append(f"Not run, {size.title}: `{command}`.{published}\n")
-        else:
-            names = "; ".join(
-                f"{c.row}, {c.method}" + (f" (paper: {_published(c.published)})" if c.published else "") for c in absent
-            )
-            lines.append(f"Not run, {size.title}: {names}. `{command}`\n")
+        absent = [cell for cell in experiment.cells if (size.name, cell.row, cell.method) not in results]
+        if absent:
+            command = f"`python scripts/reproduce.py --experiments='[{experiment.name}]' --size={size.name}`"
+            cells = "" if len(absent) == len(experiment.cells) else f" {_named(absent)};"
+            lines.append(f"Not run, {size.title}:{cells} {command}\n")
     return "\n".join(lines)
+
+
+def _named(cells: Sequence[Cell]) -> str:
+    return "; ".join(f"{c.row}, {c.method}" + (f" ({_published(c.published)})" if c.published else "") for c in cells)
 
 
 def write_report(configs: Path, results: Path) -> Path:

@@ -112,9 +112,10 @@ class Workplace:
     def _words(self, command: list[str]) -> list[str]:
         """Finds the program: of this very environment, whatever the PATH says, or a script of the checkout."""
         program, *options = command
-        if program.endswith(".py"):
-            return [sys.executable, program, *options]
-        return [str(Path(sys.executable).with_name(program)), *options]
+        found = [sys.executable, program] if program.endswith(".py") else [str(Path(sys.executable).with_name(program))]
+        # Where the runner is killed, its commands end as well: run again, it would meet them at their work.
+        tied = ["setpriv", "--pdeathsig", "KILL"] if shutil.which("setpriv") else []
+        return [*tied, *found, *options]
 
     def _resumed(self, stage: Stage, folder: Path) -> list[str]:
         """Makes the command, from LeRobot's last checkpoint on if there is one."""
@@ -192,19 +193,18 @@ def run_stages(
             break  # nothing can go on
         patience = None if deadline is None else max(0.0, deadline - time.monotonic())
         finished, _ = wait(running, patience, FIRST_COMPLETED)
-        if not finished:
+        stopped = not finished
+        if stopped:
             stop_commands()
             finished, _ = wait(running)
         for future in finished:
-            stage = running.pop(future)
-            error = future.exception()
-            if isinstance(error, StageError):
-                if finished and (deadline is None or time.monotonic() < deadline):
-                    errors.append(error)
-            elif error is not None:
-                raise error
-            else:
+            stage, error = running.pop(future), future.exception()
+            if error is None:
                 on_change(stage, True)
+            elif not isinstance(error, StageError):
+                raise error
+            elif not stopped:
+                errors.append(error)
     return errors
 
 
