@@ -26,7 +26,6 @@ from lerobot_buds.experiments import (
     Size,
     Workplace,
     local_launcher,
-    planned_table,
     stop_commands,
     submitit_launcher,
     write_report,
@@ -67,6 +66,9 @@ class ReproduceConfig:
     jobs: int = 1
     """Stages at a time; each takes a core."""
 
+    processes: int = 1
+    """Processes that share a training of ``lerobot-train``, by ``accelerate launch``: one a GPU."""
+
     max_minutes: float | None = None
     """Stops after this time; what was begun goes on the next time."""
 
@@ -94,11 +96,11 @@ def reproduce(config: ReproduceConfig) -> int:
     cells = [cell for experiment in chosen for cell in experiment.cells if _is_wanted(cell, config)]
     if not cells:
         raise ConfigError(f"No cell has a row like {config.rows!r} and a method like {config.methods!r}.")
-    workplace = Workplace(config.output_dir, PROJECT)
+    workplace = Workplace(config.output_dir, PROJECT, config.processes)
     results = config.results if size.reported else config.output_dir / "results"
     reproduction = Reproduction.of(cells, size, config.seeds, workplace, results)
     if config.dry_run:
-        print(planned_table(reproduction), end="")
+        print(reproduction.table(), end="")
         return 0
     errors = []
     if config.report_only:

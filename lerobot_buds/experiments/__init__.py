@@ -1,7 +1,7 @@
 """The paper's experiments: as data, as stages that run public commands, and as a report of what they came to."""
 
 from .experiment import Cell, Experiment, Recipe, Size
-from .report import planned_table, write_report
+from .report import write_report
 from .reproduction import Reproduction
 from .results import CellResult, Paired, Pooled, Trial, collect_result, paired, result_path
 from .running import StageError, Workplace, local_launcher, run_stages, stop_commands, submitit_launcher
@@ -25,7 +25,6 @@ __all__ = [
     "local_launcher",
     "paired",
     "plan",
-    "planned_table",
     "result_path",
     "run_stages",
     "stop_commands",

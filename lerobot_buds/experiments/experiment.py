@@ -16,6 +16,10 @@ from draccus.utils import ParsingError
 from lerobot_buds.core import ConfigError
 from lerobot_buds.envs import tasks_named
 
+_NEEDED = {"title", "reference", "rows", "methods"}
+_OPTIONAL = {"about", "short", "recipe", "published", "failures"}
+"""What an experiment's file holds."""
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -30,8 +34,8 @@ class Recipe:
         discovery: Settings file of skill discovery.
         segmentation: Further settings of skill discovery (``--discovery.*``).
         library: Tasks on whose demonstrations a library of skills is trained first; empty for none.
-        trained: Tasks on whose demonstrations the policy is trained, with a library its meta controllers alone; empty for
-            all that are segmented.
+        trained: Tasks on whose demonstrations the policy is trained, with a library its meta controllers alone; empty
+            for all that are segmented.
         policy: Settings of the policy (``--policy.*``) beside those of the size.
         evaluated: Tasks in which it is evaluated, the trials shared out among them.
         trials: Trials of one training in the paper.
@@ -163,7 +167,17 @@ class Experiment:
             ConfigError: It cannot be read, or has settings that are unknown.
         """
         content = _read(path)
-        unknown = set(content) - {"title", "about", "recipe", "rows", "methods", "published", "failures", "reference", "short"}
+        unknown = set(content) - {
+            "title",
+            "about",
+            "recipe",
+            "rows",
+            "methods",
+            "published",
+            "failures",
+            "reference",
+            "short",
+        }
         if absent := {"title", "rows", "methods", "reference"} - set(content):
             raise ConfigError(f"{path}: there is no {sorted(absent)}.")
         if unknown:
@@ -208,8 +222,14 @@ def _cell(path: Path, names: tuple[Any, Any], parts: list[Mapping[str, Any]], pu
     recipe = _decode(Recipe, merged, path)
     for names_of_tasks in (recipe.demonstrations, recipe.evaluated):
         tasks_named(names_of_tasks)
-    figures = published if isinstance(published, list) or published is None else [published, None]
-    return Cell(path.stem, str(names[0]), str(names[1]), recipe, figures and (figures[0], figures[1]))
+    return Cell(path.stem, str(names[0]), str(names[1]), recipe, _figures(published))
+
+
+def _figures(published: Any) -> tuple[float, float | None] | None:
+    if isinstance(published, list):
+        mean, spread = published
+        return float(mean), float(spread)
+    return None if published is None else (float(published), None)
 
 
 def _read(path: Path) -> dict[str, Any]:

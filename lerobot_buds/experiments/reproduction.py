@@ -4,11 +4,12 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from .experiment import Cell, Size
-from .results import collect_result, result_path
+from .results import CellResult, collect_result, result_path
 from .running import Launch, StageError, Workplace, run_stages
 from .stages import Run, Stage, plan
 
@@ -74,10 +75,34 @@ class Reproduction:
                 paths.append(path)
         return paths
 
+    def table(self) -> str:
+        """Lists what a run would do, with the time that such stages took in the results that are there."""
+        known = self._known_seconds()
+        lines = [f"{'':<6}{'seconds':>8}  command\n"]
+        left = 0.0
+        for stage in self.stages:
+            done = self.workplace.is_done(stage)
+            seconds = self.workplace.state(stage).get("seconds") if done else known.get(stage.kind)
+            left += 0.0 if done or seconds is None else seconds
+            command = " ".join(stage.command(self.workplace.root))
+            shown = "" if seconds is None else f"{seconds:.0f}"
+            lines.append(f"{'done' if done else 'to do':<6}{shown:>8}  {command}\n")
+        lines.append(f"Some {left / 60:.0f} min of one job to go, by what such stages took elsewhere.\n")
+        return "".join(lines)
+
+    def _known_seconds(self) -> dict[str, float]:
+        """Mean seconds of every kind of stage, over the results of the same size."""
+        seconds: dict[str, list[float]] = {}
+        for size in {run.size.name for run in self.runs}:
+            for path in self.results.glob(f"*/{size}/*.json"):
+                for kind, value in CellResult.read(path).seconds.items():
+                    seconds.setdefault(kind, []).append(value)
+        return {kind: sum(values) / len(values) for kind, values in seconds.items()}
+
     def _newest(self, run: Run) -> float:
         return max((self.workplace.folder(stage) / "stage.json").stat().st_mtime for stage in run.stages)
 
-    def _watch(self, bar: "tqdm[None]") -> Callable[[Stage, bool], None]:
+    def _watch(self, bar: "tqdm[Any]") -> Callable[[Stage, bool], None]:
         def on_change(stage: Stage, done: bool) -> None:
             if not done:
                 tqdm.write(f"started {' '.join(stage.command(self.workplace.root))}"[:400])

@@ -135,8 +135,8 @@ def collect_result(run: Run, workplace: Workplace) -> CellResult:
         commit=training["commit"],
         versions=training["versions"],
         data=_actions_hash(workplace.folder(recorded) / "dataset"),
-        labels=found and found.labels_hash,
-        segmentation=found and {"n_skills": found.n_skills, "agreement": found.agreement},
+        labels=None if found is None else found.labels_hash,
+        segmentation=None if found is None else {"n_skills": found.n_skills, "agreement": found.agreement},
     )
 
 

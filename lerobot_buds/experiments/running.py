@@ -46,11 +46,14 @@ class Workplace:
     Attributes:
         root: Folder of all stages.
         project: Folder of the checkout.
+        processes: How many share a training of ``lerobot-train``, by ``accelerate launch``, each with its part of a
+            batch.
         environment: Variables that commands get.
     """
 
     root: Path
     project: Path
+    processes: int = 1
     environment: Mapping[str, str] = field(default_factory=lambda: dict(ONE_THREAD))
 
     def folder(self, stage: Stage) -> Path:
@@ -112,10 +115,24 @@ class Workplace:
     def _words(self, command: list[str]) -> list[str]:
         """Finds the program: of this very environment, whatever the PATH says, or a script of the checkout."""
         program, *options = command
-        found = [sys.executable, program] if program.endswith(".py") else [str(Path(sys.executable).with_name(program))]
+        installed = str(Path(sys.executable).with_name(program))
+        found = [sys.executable, program] if program.endswith(".py") else [installed]
+        if program == "lerobot-train" and self.processes > 1:
+            launcher = str(Path(sys.executable).with_name("accelerate"))
+            found = [launcher, "launch", f"--num_processes={self.processes}", installed]
+            options = [self._share(option) for option in options]
         # Where the runner is killed, its commands end as well: run again, it would meet them at their work.
         tied = ["setpriv", "--pdeathsig", "KILL"] if shutil.which("setpriv") else []
         return [*tied, *found, *options]
+
+    def _share(self, option: str) -> str:
+        """Gives one process its part of a batch: LeRobot's batches are those of a process."""
+        name, _, value = option.partition("=")
+        if name != "--batch_size":
+            return option
+        if int(value) % self.processes:
+            raise ConfigError(f"A batch of {value} cannot be shared by processes={self.processes}.")
+        return f"{name}={int(value) // self.processes}"
 
     def _resumed(self, stage: Stage, folder: Path) -> list[str]:
         """Makes the command, from LeRobot's last checkpoint on if there is one."""

@@ -223,7 +223,9 @@ def _train(
 ) -> Stage:
     policy = {**cell.recipe.policy, **more}
     steps = size.flat_steps if policy.get("skills") == "flat" else size.steps
-    where = {"root": data.folder} if size.in_memory else {"dataset.repo_id": "local/skills", "dataset.root": data.folder}
+    where = (
+        {"root": data.folder} if size.in_memory else {"dataset.repo_id": "local/skills", "dataset.root": data.folder}
+    )
     options: dict[str, Any] = {
         "policy": f"include {size.policy}",
         **{f"policy.{name}": value for name, value in policy.items()},

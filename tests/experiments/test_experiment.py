@@ -50,7 +50,8 @@ def test_later_settings_take_precedence(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(
         "title: mine\nreference: b\n"
-        "recipe: {demonstrations: tool_use/full, evaluated: 'multitask_kitchen/task{number}_variant1', policy: {a: 1}}\n"
+        "recipe:\n  demonstrations: tool_use/full\n  policy: {a: 1}\n"
+        "  evaluated: 'multitask_kitchen/task{number}_variant1'\n"
         "methods: {a: {policy: {b: 2}}, b: {policy: {a: 3}}}\n"
         "rows: {first: {number: 1}, second: {number: 2, without: [a]}}\n"
         "published: {first: {a: [1.0, 0.5]}}\n"
@@ -71,7 +72,10 @@ def test_later_settings_take_precedence(tmp_path: Path) -> None:
         ("title: x\nrows: {a: {}}\nmethods: {b: {}}", "there is no \\['reference'\\]"),
         ("title: x\nreference: b\nrows: {a: {}}\nmethods: {b: {}}\nspeed: 1", "\\['speed'\\] are unknown"),
         ("title: x\nreference: b\nrows: {a: {steps: 1}}\nmethods: {b: {}}", "\\['steps'\\] are unknown"),
-        ("title: x\nreference: b\nrows: {a: {demonstrations: nowhere}}\nmethods: {b: {}}", "no robosuite task 'nowhere'"),
+        (
+            "title: x\nreference: b\nrows: {a: {demonstrations: nowhere}}\nmethods: {b: {}}",
+            "no robosuite task 'nowhere'",
+        ),
         ("title: x\nreference: c\nrows: {a: {}}\nmethods: {b: {}}", "reference='c' is none"),
         ("[1, 2]", "holds no settings"),
         ("{", "cannot be read"),

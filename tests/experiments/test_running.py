@@ -6,11 +6,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from lerobot_buds.core import read_json
+from lerobot_buds.core import ConfigError, read_json
 from lerobot_buds.experiments import Stage, StageError, Workplace, local_launcher, run_stages, submitit_launcher
 
 PROGRAM = """\
@@ -46,7 +47,9 @@ def ran(workplace: Workplace) -> list[str]:
     return log.read_text().split() if log.exists() else []
 
 
-def run(workplace: Workplace, stages: Sequence[Stage], jobs: int = 1, deadline: float | None = None) -> list[StageError]:
+def run(
+    workplace: Workplace, stages: Sequence[Stage], jobs: int = 1, deadline: float | None = None
+) -> list[StageError]:
     return run_stages(stages, workplace, local_launcher(workplace, jobs), jobs, deadline, lambda *_: None)
 
 
@@ -143,6 +146,16 @@ def commands_of(workplace: Workplace) -> list[int]:
         except OSError:
             continue
     return found
+
+
+def test_processes_share_a_training(workplace: Workplace) -> None:
+    shared = replace(workplace, processes=4)
+    command = ["lerobot-train", "--batch_size=128", "--steps=5"]
+    (*_, launcher, launch, processes, program), options = shared._words(command)[:-2], shared._words(command)[-2:]
+    assert Path(launcher).name == "accelerate" and (launch, processes) == ("launch", "--num_processes=4")
+    assert Path(program).name == "lerobot-train" and options == ["--batch_size=32", "--steps=5"]
+    with pytest.raises(ConfigError, match="A batch of 30"):
+        shared._words(["lerobot-train", "--batch_size=30"])
 
 
 def test_stages_run_through_submitit(workplace: Workplace) -> None:
