@@ -16,6 +16,7 @@ from pathlib import Path
 
 from lerobot_buds.core import COLLECTION_FILE, CONTACT_SHEET_FILE, read_json, write_json
 from lerobot_buds.evaluation import read_success_rate
+from lerobot_buds.experiments import demo_table
 from lerobot_buds.segmentation import SegmentationRecord
 
 OUT = Path("outputs/demo")
@@ -149,11 +150,13 @@ def run(stage: Stage, seconds: dict[str, float]) -> None:
 
 
 def show(seconds: dict[str, float]) -> None:
-    """Prints the table and where the pictures are."""
-    print(f"\n{'stage':<10}{'seconds':>8}  figure")
-    for stage in STAGES:
-        print(f"{stage.name:<10}{seconds.get(stage.name, 0.0):>8.0f}  {stage.figure()}")
-    print(f"{'total':<10}{sum(seconds.values()):>8.0f}")
+    """Prints the table and where the pictures are, and keeps the table for README (``docs/results/demo.json``)."""
+    stages = [
+        {"stage": stage.name, "seconds": round(seconds.get(stage.name, 0.0)), "figure": stage.figure()}
+        for stage in STAGES
+    ]
+    write_json(OUT / "demo.json", stages)
+    print(f"\n{demo_table(stages)}")
     videos = sorted((EVALUATION / "videos").rglob("*.mp4"))
     drawn = [OUT / "segmentation/timeline.png", OUT / "segmentation/reconstructions.png"]
     pictures = [DEMONSTRATIONS / CONTACT_SHEET_FILE, *drawn]

@@ -6,6 +6,7 @@ from .reproduction import Reproduction
 from .results import CellResult, Paired, Pooled, Trial, collect_result, paired, result_path
 from .running import StageError, Workplace, local_launcher, run_stages, stop_commands, submitit_launcher
 from .stages import Run, Stage, plan
+from .tables import demo_table
 
 __all__ = [
     "Cell",
@@ -22,6 +23,7 @@ __all__ = [
     "Trial",
     "Workplace",
     "collect_result",
+    "demo_table",
     "local_launcher",
     "paired",
     "plan",

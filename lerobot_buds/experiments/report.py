@@ -4,12 +4,12 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from lerobot_buds.core import write_atomically
+from lerobot_buds.core import read_json, write_atomically
 
 from .experiment import Experiment, Size
 from .pictures import draw_experiment
 from .results import CellResult, Pooled
-from .tables import Results, not_run, size_section
+from .tables import Results, demo_table, not_run, size_section
 
 HEADER = """\
 # Results
@@ -91,16 +91,21 @@ def read_configs(configs: Path) -> tuple[list[Experiment], list[Size]]:
 
 
 def readme_with_results(text: str, experiments: Sequence[Experiment], sizes: Sequence[Size], results: Path) -> str:
-    """Puts a table of the headline figures between the marks of README."""
+    """Puts the headline figures, and what the demo came to, between the marks of README."""
     lines = ["| task | flat behaviour cloning | `buds` | trials each, training seeds |", "|---|---|---|---|"]
     for experiment in experiments:
         found = load_results(results, experiment)
         for size in sizes:
             lines += [_headline(experiment, row, found, size) for row in experiment.rows]
     table = "\n".join(line for line in lines if line)
-    return re.sub(
-        r"(<!-- results -->\n).*?(<!-- /results -->)", lambda m: f"{m[1]}\n{table}\n\n{m[2]}", text, flags=re.DOTALL
-    )
+    text = _between(text, "results", table)
+    demo = results / "demo.json"
+    return _between(text, "demo", f"```\n{demo_table(read_json(demo))}\n```") if demo.exists() else text
+
+
+def _between(text: str, mark: str, content: str) -> str:
+    pattern = rf"(<!-- {mark} -->\n).*?(<!-- /{mark} -->)"
+    return re.sub(pattern, lambda m: f"{m[1]}\n{content}\n\n{m[2]}", text, flags=re.DOTALL)
 
 
 def _headline(experiment: Experiment, row: str, found: Results, size: Size) -> str:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from .experiment import Cell, Experiment, Size
 from .results import Pooled, paired
@@ -125,3 +126,14 @@ def _named(cells: Sequence[Cell]) -> str:
     return "; ".join(
         f"{c.row}, {c.method}" + (f" ({published_text(c.published)})" if c.published else "") for c in cells
     )
+
+
+def demo_table(stages: Sequence[Mapping[str, Any]]) -> str:
+    """Writes what ``make demo`` prints.
+
+    Args:
+        stages: ``stage``, ``seconds`` and ``figure`` of each.
+    """
+    lines = [f"{stage['stage']:<10}{stage['seconds']:>8}  {stage['figure']}" for stage in stages]
+    total = sum(stage["seconds"] for stage in stages)
+    return "\n".join([f"{'stage':<10}{'seconds':>8}  figure", *lines, f"{'total':<10}{total:>8}"])

@@ -1,5 +1,6 @@
 """Results are kept whole and compared in pairs; the report says all of it, and what is committed says no more."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -126,8 +127,13 @@ def test_the_report_is_the_one_of_the_results() -> None:
     experiments, sizes = read_configs(CONFIGS)
     assert (ROOT / "docs/results.md").read_text() == report(experiments, sizes, RESULTS)
     readme = (ROOT / "README.md").read_text()
-    assert "<!-- results -->" in readme
+    assert "<!-- results -->" in readme and "<!-- demo -->" in readme
     assert readme == readme_with_results(readme, experiments, sizes, RESULTS)
+
+
+def test_readme_says_of_people_what_docs_say() -> None:
+    (figure,) = re.findall(r"boundary F1 ([\d.]+) against the gripper", (ROOT / "README.md").read_text())
+    assert f"| panda_pick_place | default | {figure} |" in (ROOT / "docs/human.md").read_text()
 
 
 def test_committed_results_are_whole() -> None:
