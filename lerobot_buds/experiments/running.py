@@ -115,11 +115,9 @@ class Workplace:
     def _words(self, command: list[str]) -> list[str]:
         """Finds the program: of this very environment, whatever the PATH says, or a script of the checkout."""
         program, *options = command
-        installed = str(Path(sys.executable).with_name(program))
-        found = [sys.executable, program] if program.endswith(".py") else [installed]
+        found = [sys.executable, program] if program.endswith(".py") else [_installed(program)]
         if program == "lerobot-train" and self.processes > 1:
-            launcher = str(Path(sys.executable).with_name("accelerate"))
-            found = [launcher, "launch", f"--num_processes={self.processes}", installed]
+            found = [_installed("accelerate"), "launch", f"--num_processes={self.processes}", *found]
             options = [self._share(option) for option in options]
         # Where the runner is killed, its commands end as well: run again, it would meet them at their work.
         tied = ["setpriv", "--pdeathsig", "KILL"] if shutil.which("setpriv") else []
@@ -153,6 +151,10 @@ class Workplace:
             "machine": _describe_machine(),
             "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
         }
+
+
+def _installed(program: str) -> str:
+    return str(Path(sys.executable).with_name(program))
 
 
 _RUNNING: dict[int, subprocess.Popen[bytes]] = {}

@@ -31,15 +31,15 @@ Path(options["out"]).write_text("done")
 
 @pytest.fixture
 def workplace(tmp_path: Path) -> Workplace:
-    (tmp_path / "project").mkdir()
-    (tmp_path / "project/work.py").write_text(PROGRAM)
+    (tmp_path / "project/scripts").mkdir(parents=True)
+    (tmp_path / "project/scripts/work.py").write_text(PROGRAM)
     return Workplace(tmp_path / "stages", tmp_path / "project")
 
 
 def make(workplace: Workplace, name: str, *needs: Stage, seconds: float = 0.0, **amount: int) -> Stage:
     options = {"name": name, "log": str(workplace.project / "log"), "out": "{own}/out", "seconds": seconds}
     options["needs"] = " ".join(f"{stage.path}/out" for stage in needs)
-    return Stage("collect", "work.py", options, needs, amount=amount)
+    return Stage("collect", "scripts/work.py", options, needs, amount=amount)
 
 
 def ran(workplace: Workplace) -> list[str]:
@@ -120,7 +120,7 @@ def test_commands_end_with_the_runner(workplace: Workplace, how: signal.Signals)
         "import sys, signal\nfrom pathlib import Path\nfrom lerobot_buds.experiments import *\n"
         "signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))\n"
         f"w = Workplace(Path({str(workplace.root)!r}), Path({str(workplace.project)!r}))\n"
-        f"s = Stage('collect', 'work.py', {dict(make(workplace, 'slow', seconds=300).options)!r})\n"
+        f"s = Stage('collect', 'scripts/work.py', {dict(make(workplace, 'slow', seconds=300).options)!r})\n"
         "try:\n    run_stages([s], w, local_launcher(w, 1), 1, None, lambda *_: None)\nfinally:\n    stop_commands()\n"
     )
     runner = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.DEVNULL)
