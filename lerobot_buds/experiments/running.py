@@ -90,7 +90,17 @@ class Workplace:
         known = {"kind": stage.kind, "command": command, **self._machine()}
         write_json(folder / DONE_FILE, {**self.state(stage), **known})
         began = time.monotonic()
-        with (folder / LOG_FILE).open("ab") as log:
+        # Whole, if the runner was killed between the end of the command and its note of it.
+        status = 0 if stage.result and (folder / stage.result).exists() else self._call(command, folder / LOG_FILE)
+        state = {**self.state(stage), "seconds": round(before + time.monotonic() - began, 1)}
+        if status == 0:
+            state["done"] = dict(stage.amount)
+        write_json(folder / DONE_FILE, state)
+        if status != 0:
+            raise StageError(f"{stage.kind} failed (status {status}); its output is in {folder / LOG_FILE}.")
+
+    def _call(self, command: list[str], log_file: Path) -> int:
+        with log_file.open("ab") as log:
             process = subprocess.Popen(
                 self._words(command),
                 cwd=self.project,
@@ -99,18 +109,11 @@ class Workplace:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # an interrupt is for the runner, which passes it on
             )
-            _RUNNING[process.pid] = process
-            try:
-                status = process.wait()
-            finally:
-                del _RUNNING[process.pid]
-        seconds = round(before + time.monotonic() - began, 1)
-        state = {**self.state(stage), "seconds": seconds}
-        if status == 0:
-            state["done"] = dict(stage.amount)
-        write_json(folder / DONE_FILE, state)
-        if status != 0:
-            raise StageError(f"{stage.kind} failed (status {status}); its output is in {folder / LOG_FILE}.")
+        _RUNNING[process.pid] = process
+        try:
+            return process.wait()
+        finally:
+            del _RUNNING[process.pid]
 
     def _words(self, command: list[str]) -> list[str]:
         """Finds the program: of this very environment, whatever the PATH says, or a script of the checkout."""

@@ -36,6 +36,7 @@ class Stage:
         inputs: Stages whose results it reads.
         files: Settings files that it reads.
         amount: Options that say how much of the same is wanted. They do not name the stage: more is done by going on.
+        result: What the command leaves in the stage's folder at its very end, whole, and refuses to make again.
     """
 
     kind: str
@@ -44,6 +45,7 @@ class Stage:
     inputs: tuple["Stage", ...] = ()
     files: tuple[Path, ...] = ()
     amount: Mapping[str, Any] = field(default_factory=dict)
+    result: str = ""
 
     @cached_property
     def key(self) -> str:
@@ -179,6 +181,7 @@ def _collect(cell: Cell, size: Size) -> Demonstrations:
             "render_profile": size.render_profile,
             "video": size.video,
         },
+        result="dataset",
     )
     tasks = tuple(task.name for task in tasks_named(recipe.demonstrations))
     return Demonstrations(stage, f"{stage.path}/dataset", tasks, episodes)
@@ -207,7 +210,7 @@ def _segment(cell: Cell, size: Size, recorded: Demonstrations, configs: Path) ->
     if numbers is not None:
         options["episodes"] = numbers
     options |= {"output_repo_id": "local/skills", "output_root": f"{OWN}/dataset", "work_dir": f"{OWN}/work"}
-    stage = Stage("segment", "lerobot-buds-segment", options, (recorded.stage, represent), files)
+    stage = Stage("segment", "lerobot-buds-segment", options, (recorded.stage, represent), files, result="dataset")
     return replace(recorded, stage=stage, folder=f"{stage.path}/dataset", tasks=recorded.only(recipe.segmented))
 
 

@@ -103,6 +103,14 @@ def test_seconds_of_interrupted_runs_are_counted(workplace: Workplace) -> None:
     assert workplace.state(stage)["seconds"] >= 2.5
 
 
+def test_a_result_that_is_whole_is_not_made_again(workplace: Workplace) -> None:
+    """The runner was killed between the end of the command and its note of it."""
+    stage = replace(make(workplace, "a"), result="out")
+    run(workplace, [stage])
+    (workplace.folder(stage) / "stage.json").unlink()
+    assert run(workplace, [stage]) == [] and ran(workplace) == ["a"] and workplace.is_done(stage)
+
+
 def test_no_stage_is_made_by_two_at_once(workplace: Workplace) -> None:
     from filelock import FileLock
 
