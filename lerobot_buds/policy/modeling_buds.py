@@ -123,7 +123,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
     def select_action(
         self, batch: dict[str, Any], noise: Tensor | None = None, override: Override | None = None, **kwargs: Any
     ) -> Tensor:
-        """Runs one control step of all environments of a batch.
+        """Runs one control step of all environments of a batch, on a CPU one by one.
 
         Args:
             batch: The inputs, and ``task`` strings where there are several tasks.
@@ -144,7 +144,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         if rollout is None or len(rollout.skill) != len(observation.images):
             rollout = Rollout.start(self.model, observation)
             self._rollouts[threading.get_ident()] = rollout
-        return rollout.step(self.model, observation, noise, override)
+        # On a CPU batches gain little, and without them no episode depends on those that run beside it.
+        return rollout.step(self.model, observation, noise, override, together=rollout.skill.device.type != "cpu")
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Any], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
