@@ -29,6 +29,9 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         from_checkpoint: Weights will be loaded, so that those of a skill library are not wanted.
         kwargs: Whatever else LeRobot's factory hands to constructors; not used.
 
+    Attributes:
+        labels: What the dataset says about its frames; None without one, and in copies.
+
     Raises:
         ConfigError: The configuration cannot work with the features.
         SegmentationError: The dataset has no valid labels.
@@ -50,10 +53,10 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self.config: BudsConfig = config
         library = TrainedSkills.read(config.skills_path) if config.skills_path and not from_checkpoint else None
         self._found = complete(config, dataset_meta, library, from_checkpoint)
-        self._labels = LabelTable(Path(dataset_meta.root), config) if dataset_meta is not None else None
-        if self._labels is not None:
-            offer_labels(self._labels)
-        self.model = BudsModel(config, *(None,) * 3 if from_checkpoint else (self._found, dataset_stats, self._labels))
+        self.labels = LabelTable(Path(dataset_meta.root), config) if dataset_meta is not None else None
+        if self.labels is not None:
+            offer_labels(self.labels)
+        self.model = BudsModel(config, *(None,) * 3 if from_checkpoint else (self._found, dataset_stats, self.labels))
         if library is not None:
             library.load_into(self.model)
             self._warn_of_unreachable_actions()
@@ -68,8 +71,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         """Reads a checkpoint, see LeRobot's method of the same name; frozen skills are part of it."""
         policy: Self = super().from_pretrained(pretrained_name_or_path, from_checkpoint=True, **kwargs)
         policy._warn_of_unreachable_actions()
-        if policy._labels is not None and policy.model.meta_controllers is not None:
-            policy.model.memory.widen(*map(torch.from_numpy, (policy._labels.shortest, policy._labels.longest)))
+        if policy.labels is not None and policy.model.meta_controllers is not None:
+            policy.model.memory.widen(*map(torch.from_numpy, (policy.labels.shortest, policy.labels.longest)))
         return policy
 
     def _warn_of_unreachable_actions(self) -> None:
@@ -184,4 +187,4 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
 
     def __getstate__(self) -> dict[str, Any]:
         """Leaves labels and rollouts out of copies: they belong to one process."""
-        return {**self.__dict__, "_labels": None, "_rollouts": {}}
+        return {**self.__dict__, "labels": None, "_rollouts": {}}
