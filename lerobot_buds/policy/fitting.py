@@ -21,7 +21,7 @@ from lerobot_buds.core import (
 from lerobot_buds.data import read_collection
 from lerobot_buds.segmentation import load_labels
 
-from .actions import ActionRange, assume_plain_actions, choose_coding
+from .actions import ActionRange, choose_coding
 from .configuration_buds import PAPER_FPS, BudsConfig, refuse_other_images
 from .labels import representation_of
 from .library import TrainedSkills
@@ -61,9 +61,7 @@ def complete(config: BudsConfig, meta: Any, library: TrainedSkills | None, from_
     else:
         fit_to_dataset(config, meta, may_be_renamed=from_checkpoint)
         found = ActionRange.read(Path(meta.root))
-    if found is None or library is not None or from_checkpoint:
-        assume_plain_actions(config)
-    else:
+    if found is not None and library is None and not from_checkpoint:
         choose_coding(config, found)
     return found
 
@@ -115,6 +113,8 @@ def fit_without_dataset(config: BudsConfig) -> None:
         logger.warning("Policy 'buds' was built without a dataset: it is untrained, has one skill and assumes 20 Hz.")
     config.n_skills = config.n_skills or 1
     config.fps = config.fps or float(PAPER_FPS)
+    config.action_scaling = config.action_scaling or "none"
+    config.binary_dims = config.binary_dims or []
     choose_state(config)
 
 
