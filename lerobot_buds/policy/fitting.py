@@ -180,6 +180,37 @@ def task_number(config: BudsConfig, task: str) -> int:
     raise ConfigError(f"The policy does not know the task {task!r}. {known} To train on others too, set policy.tasks.")
 
 
+def check_tasks(config: BudsConfig, trained: BudsConfig) -> None:
+    """Refuses tasks for which the weights of a checkpoint have another shape, or are those of another task.
+
+    Args:
+        config: What the checkpoint is to be used with.
+        trained: Its own configuration.
+
+    Raises:
+        ConfigError: Tasks have other numbers than in the checkpoint, or were added where that cannot be.
+    """
+    if any(task in config.tasks and config.tasks.index(task) != n for n, task in enumerate(trained.tasks)):
+        raise ConfigError(
+            f"tasks={config.tasks} changes the order of the checkpoint's tasks, {trained.tasks}, by which the policy "
+            "tells them apart. Keep it, and put new tasks at the end."
+        )
+    if _tasks_in_weights(config) != _tasks_in_weights(trained):
+        library = ", or take the skills over with policy.skills_path" if trained.has_subgoals else ""
+        raise ConfigError(
+            f"tasks={config.tasks} does not fit the checkpoint, whose tasks are {trained.tasks}: one network knows them "
+            f"all, and none can be added to it or left out. Train a new policy on all tasks{library}. Only a policy "
+            "with a meta controller for every task (meta_controllers='per_task') can be given more."
+        )
+
+
+def _tasks_in_weights(config: BudsConfig) -> int:
+    """Counts the tasks that one network is told apart; 0 where every task has a network of its own."""
+    if not config.has_subgoals:
+        return config.task_count
+    return max(1, len(config.tasks)) if config.meta_controllers == "conditioned" else 0
+
+
 def check_observation(config: BudsConfig, observation: Mapping[str, Any]) -> None:
     """Refuses observations of a simulator that runs or draws otherwise than where the demonstrations come from.
 

@@ -9,7 +9,7 @@ from lerobot.policies import PreTrainedPolicy
 from torch import Tensor
 
 from .configuration_buds import BudsConfig
-from .fitting import complete
+from .fitting import check_tasks, complete
 from .inputs import Observation, read_actions, read_inputs
 from .labels import Labels, LabelTable
 from .library import TrainedSkills
@@ -67,9 +67,17 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self._laid_out_for_acting = False
 
     @classmethod
-    def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:
-        """Reads a checkpoint, see LeRobot's method of the same name; frozen skills are part of it."""
-        policy: Self = super().from_pretrained(pretrained_name_or_path, from_checkpoint=True, **kwargs)
+    def from_pretrained(
+        cls, pretrained_name_or_path: str | Path, *, config: BudsConfig | None = None, **kwargs: Any
+    ) -> Self:
+        """Reads a checkpoint, see LeRobot's method of the same name; frozen skills are part of it.
+
+        Raises:
+            ConfigError: The configuration has tasks for which the weights are not.
+        """
+        if config is not None:
+            check_tasks(config, BudsConfig.from_pretrained(pretrained_name_or_path, **kwargs))
+        policy: Self = super().from_pretrained(pretrained_name_or_path, config=config, from_checkpoint=True, **kwargs)
         policy._warn_of_unreachable_actions()
         if policy.labels is not None and policy.model.meta_controllers is not None:
             policy.model.memory.widen(*map(torch.from_numpy, (policy.labels.shortest, policy.labels.longest)))
