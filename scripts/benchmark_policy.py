@@ -58,6 +58,10 @@ class BenchmarkConfig:
     only: str = ""
     """Part of the name of what shall be timed alone."""
 
+    def asks_for(self, name: str) -> bool:
+        """Tells whether something is to be timed."""
+        return self.only in name
+
 
 def batches(dataset: LeRobotDataset, config: BenchmarkConfig) -> Iterator[dict]:
     """Loads shuffled batches as ``lerobot-train`` does."""
@@ -97,14 +101,14 @@ def update(policy: PreTrainedPolicy, optimizer: torch.optim.Optimizer, amp: bool
 
 
 def separate_networks(policy: BudsPolicy) -> Callable[[dict], None]:
-    """Makes the plain loop: every skill and the meta controller with an optimiser of its own, one after the other.
+    """Makes the plain loop: every skill and the meta controllers with an optimiser of their own, one after the other.
 
     As in the original, networks take images in the usual order of memory, losses are read after every network, and the
     meta controller's targets come from finished encoders.
     """
     model = policy.model
-    parts = [*model.skills.skills, *model.meta_controllers.controllers]
-    optimizers = [torch.optim.Adam(part.parameters(), lr=1e-4) for part in parts]
+    parts = [*model.skills.skills, model.meta_controllers]
+    *skill_optimizers, meta_optimizer = [torch.optim.Adam(part.parameters(), lr=1e-4) for part in parts]
 
     def finish(loss: torch.Tensor, optimizer: torch.optim.Optimizer) -> None:
         loss.backward()
@@ -117,7 +121,7 @@ def separate_networks(policy: BudsPolicy) -> Callable[[dict], None]:
         shifted = replace(seen, images=random_shift(seen.images, 4).contiguous())
         percept = model.encode(shifted, labels.history)
         goals = as_floats(labels.goal).contiguous()
-        for k, (skill, optimizer) in enumerate(zip(model.skills.skills, optimizers, strict=False)):
+        for k, (skill, optimizer) in enumerate(zip(model.skills.skills, skill_optimizers, strict=True)):
             rows = (labels.skill == k).nonzero()[:, 0]
             if len(rows):
                 subgoal = skill.subgoal_encoder(goals[rows])
@@ -127,7 +131,7 @@ def separate_networks(policy: BudsPolicy) -> Callable[[dict], None]:
         target = model.skills.subgoal_targets(labels.skill, goals)
         situation = model.situation(percept, labels.held, labels.held_for, labels.finished)
         meta, _ = model.meta_controllers.losses(situation, labels.skill, target)
-        finish((meta.skill_id_loss + meta.subgoal_loss + 1e-4 * meta.kl_loss).mean(), optimizers[-1])
+        finish((meta.skill_id_loss + meta.subgoal_loss + 1e-4 * meta.kl_loss).mean(), meta_optimizer)
 
     return loop
 
@@ -167,7 +171,7 @@ def time_training(config: BenchmarkConfig) -> None:
         works["plain loop over separate networks"] = lambda: on_loaded(lambda policy, _: separate_networks(policy))
     works["buds, meta controller alone"] = lambda: _meta_controller_alone(config, dataset, on_loaded, updating)
     for name, build in works.items():
-        if config.only in name:
+        if config.asks_for(name):
             torch.backends.cudnn.benchmark = torch.backends.cuda.matmul.allow_tf32 = True  # as lerobot-train sets them
             if config.device == "cuda":
                 torch.cuda.reset_peak_memory_stats()
@@ -239,7 +243,7 @@ def main() -> None:
     config = draccus.parse(BenchmarkConfig)
     torch.set_num_threads(config.threads)
     time_training(config)
-    if config.only in "acting":
+    if config.asks_for("acting"):
         time_acting(config)
     print(f"peak memory of all that ran: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.1f} GiB")
 

@@ -66,7 +66,7 @@ def train(config: TrainingConfig) -> None:
     policy = make_policy(config.policy, ds_meta=meta)
     assert isinstance(policy, BudsPolicy)
     chosen = None if config.episodes is None else tuple(config.episodes)
-    frames = RecordedFrames(LocalDataset(config.root, chosen), policy.config)
+    frames = RecordedFrames(LocalDataset(config.root, chosen), policy)
     episodes = np.arange(len(frames.starts))
     held_out = episodes[config.held_out // 2 :: config.held_out] if config.held_out else episodes[:0]
     rows = np.concatenate([np.arange(frames.starts[e], frames.ends[e]) for e in np.setdiff1d(episodes, held_out)])

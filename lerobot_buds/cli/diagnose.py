@@ -46,7 +46,7 @@ def diagnose_policy(config: DiagnoseConfig) -> dict[str, Any]:
         raise ConfigError("policy_path is missing: which checkpoint is to be diagnosed?")
     dataset = config.open()
     policy = load_policy(config.policy_path, dataset.root, config.device)
-    frames = RecordedFrames(dataset, policy.config)
+    frames = RecordedFrames(dataset, policy)
     figures = diagnose(policy, frames, np.arange(len(frames.starts)), config.seed)
     if config.output is not None:
         write_json(config.output, figures)

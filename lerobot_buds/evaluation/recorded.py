@@ -21,6 +21,7 @@ from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.fitting import task_number
 from lerobot_buds.policy.inputs import Observation
 from lerobot_buds.policy.labels import Labels, LabelTable
+from lerobot_buds.policy.modeling_buds import BudsPolicy
 
 
 class RecordedFrames:
@@ -28,12 +29,12 @@ class RecordedFrames:
 
     Args:
         dataset: What stands for it.
-        config: Configuration of a policy that was built for it.
+        policy: A policy that was built for it.
 
     Attributes:
         starts: ``(E,)`` int64 first frame of every chosen episode.
         ends: ``(E,)`` int64 one past its last frame.
-        label_table: What the dataset says about its frames.
+        label_table: What the dataset says about its frames; the policy's own, which may have encoded them all.
 
     Raises:
         CheckpointError: A task is unknown to the policy.
@@ -41,8 +42,8 @@ class RecordedFrames:
         SegmentationError: It is not segmented.
     """
 
-    def __init__(self, dataset: AnyDataset, config: BudsConfig) -> None:
-        dataset = LocalDataset.of(dataset)
+    def __init__(self, dataset: AnyDataset, policy: BudsPolicy) -> None:
+        dataset, config = LocalDataset.of(dataset), policy.config
         table = read_table(dataset, [*([STATE] if config.state_size else []), ACTION, "task_index"])
         total = len(table.present)
         self.starts, self.ends = table.starts, table.ends
@@ -53,7 +54,10 @@ class RecordedFrames:
         require_whole(table)
         require_videos(dataset)
         self._tasks = _task_numbers(dataset, config, table)
-        self.label_table = LabelTable(dataset.root, config)
+        labels = policy.labels
+        if labels is None or labels.root.resolve() != dataset.root.resolve():
+            labels = LabelTable(dataset.root, config)
+        self.label_table = labels
         self._workspace = config.stacked_cameras[0]
 
     def observation(self, rows: IntArray) -> Observation:

@@ -134,16 +134,6 @@ def _check_binary(dims: Sequence[int], found: ActionRange) -> None:
         raise ConfigError(f"binary_dims: {found.named(more)} take more than two values. Leave it out to have it found.")
 
 
-def assume_plain_actions(config: BudsConfig) -> None:
-    """Completes the configuration of a checkpoint from before actions were scaled, and of a policy without a dataset.
-
-    Args:
-        config: Changed in place.
-    """
-    config.action_scaling = config.action_scaling or "none"
-    config.binary_dims = [] if config.binary_dims is None else config.binary_dims
-
-
 class ActionCoding(nn.Module):
     """Translates between outputs of the skills, what they expect (in [-1, 1]) and actions of the dataset's unit.
 
@@ -169,8 +159,7 @@ class ActionCoding(nn.Module):
             low, high = torch.from_numpy(found.low.copy()), torch.from_numpy(found.high.copy())
         binary = torch.zeros(size, dtype=torch.bool)
         binary[list(config.binary_dims or [])] = True
-        # Without scaling there is nothing to keep: such a checkpoint is that of an older version, name by name.
-        kept = self.is_scaled or self.has_binary
+        kept = self.is_scaled or self.has_binary  # else they say nothing
         self.register_buffer("low", low, persistent=kept)
         self.register_buffer("high", high, persistent=kept)
         self.register_buffer("binary", binary, persistent=False)

@@ -21,7 +21,7 @@ from lerobot_buds.core import (
 from lerobot_buds.data import read_collection
 from lerobot_buds.segmentation import load_labels
 
-from .actions import ActionRange, assume_plain_actions, choose_coding
+from .actions import ActionRange, choose_coding
 from .configuration_buds import PAPER_FPS, BudsConfig, refuse_other_images
 from .labels import representation_of
 from .library import TrainedSkills
@@ -61,9 +61,7 @@ def complete(config: BudsConfig, meta: Any, library: TrainedSkills | None, from_
     else:
         fit_to_dataset(config, meta, may_be_renamed=from_checkpoint)
         found = ActionRange.read(Path(meta.root))
-    if found is None or library is not None or from_checkpoint:
-        assume_plain_actions(config)
-    else:
+    if found is not None and library is None and not from_checkpoint:
         choose_coding(config, found)
     return found
 
@@ -115,6 +113,8 @@ def fit_without_dataset(config: BudsConfig) -> None:
         logger.warning("Policy 'buds' was built without a dataset: it is untrained, has one skill and assumes 20 Hz.")
     config.n_skills = config.n_skills or 1
     config.fps = config.fps or float(PAPER_FPS)
+    config.action_scaling = config.action_scaling or "none"
+    config.binary_dims = config.binary_dims or []
     choose_state(config)
 
 
@@ -178,6 +178,37 @@ def task_number(config: BudsConfig, task: str) -> int:
         return 0
     known = near_names(task, config.tasks)
     raise ConfigError(f"The policy does not know the task {task!r}. {known} To train on others too, set policy.tasks.")
+
+
+def check_tasks(config: BudsConfig, trained: BudsConfig) -> None:
+    """Refuses tasks for which the weights of a checkpoint have another shape, or are those of another task.
+
+    Args:
+        config: What the checkpoint is to be used with.
+        trained: Its own configuration.
+
+    Raises:
+        ConfigError: Tasks have other numbers than in the checkpoint, or were added where that cannot be.
+    """
+    if any(task in config.tasks and config.tasks.index(task) != n for n, task in enumerate(trained.tasks)):
+        raise ConfigError(
+            f"tasks={config.tasks} changes the order of the checkpoint's tasks, {trained.tasks}, by which the policy "
+            "tells them apart. Keep it, and put new tasks at the end."
+        )
+    if _tasks_in_weights(config) != _tasks_in_weights(trained):
+        library = ", or take the skills over with policy.skills_path" if trained.has_subgoals else ""
+        raise ConfigError(
+            f"tasks={config.tasks} does not fit the checkpoint, whose tasks are {trained.tasks}: one network knows them "
+            f"all, and none can be added to it or left out. Train a new policy on all tasks{library}. Only a policy "
+            "with a meta controller for every task (meta_controllers='per_task') can be given more."
+        )
+
+
+def _tasks_in_weights(config: BudsConfig) -> int:
+    """Counts the tasks that one network is told apart; 0 where every task has a network of its own."""
+    if not config.has_subgoals:
+        return config.task_count
+    return max(1, len(config.tasks)) if config.meta_controllers == "conditioned" else 0
 
 
 def check_observation(config: BudsConfig, observation: Mapping[str, Any]) -> None:

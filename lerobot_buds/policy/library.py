@@ -12,7 +12,6 @@ from torch import Tensor, nn
 from lerobot_buds.core import CheckpointError
 from lerobot_buds.data import download
 
-from .actions import assume_plain_actions
 from .configuration_buds import LIBRARY_FIELDS, BudsConfig
 
 logger = logging.getLogger(__name__)
@@ -62,7 +61,6 @@ class TrainedSkills:
         if not isinstance(config, BudsConfig) or not config.has_subgoals:
             kind = "flat policy" if isinstance(config, BudsConfig) else f"policy of type {config.type!r}"
             raise CheckpointError(f"{name} holds a {kind}, without skills to take over.")
-        assume_plain_actions(config)
         return cls(name, config, tensors)
 
     def adopt(self, config: BudsConfig) -> None:

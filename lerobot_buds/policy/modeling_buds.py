@@ -9,7 +9,7 @@ from lerobot.policies import PreTrainedPolicy
 from torch import Tensor
 
 from .configuration_buds import BudsConfig
-from .fitting import complete
+from .fitting import check_tasks, complete
 from .inputs import Observation, read_actions, read_inputs
 from .labels import Labels, LabelTable
 from .library import TrainedSkills
@@ -28,6 +28,9 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         dataset_meta: LeRobot's metadata of the dataset to train on; without it the policy can only act.
         from_checkpoint: Weights will be loaded, so that those of a skill library are not wanted.
         kwargs: Whatever else LeRobot's factory hands to constructors; not used.
+
+    Attributes:
+        labels: What the dataset says about its frames; None without one, and in copies.
 
     Raises:
         ConfigError: The configuration cannot work with the features.
@@ -50,10 +53,10 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self.config: BudsConfig = config
         library = TrainedSkills.read(config.skills_path) if config.skills_path and not from_checkpoint else None
         self._found = complete(config, dataset_meta, library, from_checkpoint)
-        self._labels = LabelTable(Path(dataset_meta.root), config) if dataset_meta is not None else None
-        if self._labels is not None:
-            offer_labels(self._labels)
-        self.model = BudsModel(config, *(None,) * 3 if from_checkpoint else (self._found, dataset_stats, self._labels))
+        self.labels = LabelTable(Path(dataset_meta.root), config) if dataset_meta is not None else None
+        if self.labels is not None:
+            offer_labels(self.labels)
+        self.model = BudsModel(config, *(None,) * 3 if from_checkpoint else (self._found, dataset_stats, self.labels))
         if library is not None:
             library.load_into(self.model)
             self._warn_of_unreachable_actions()
@@ -64,12 +67,20 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self._laid_out_for_acting = False
 
     @classmethod
-    def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:
-        """Reads a checkpoint, see LeRobot's method of the same name; frozen skills are part of it."""
-        policy: Self = super().from_pretrained(pretrained_name_or_path, from_checkpoint=True, **kwargs)
+    def from_pretrained(
+        cls, pretrained_name_or_path: str | Path, *, config: BudsConfig | None = None, **kwargs: Any
+    ) -> Self:
+        """Reads a checkpoint, see LeRobot's method of the same name; frozen skills are part of it.
+
+        Raises:
+            ConfigError: The configuration has tasks for which the weights are not.
+        """
+        if config is not None:
+            check_tasks(config, BudsConfig.from_pretrained(pretrained_name_or_path, **kwargs))
+        policy: Self = super().from_pretrained(pretrained_name_or_path, config=config, from_checkpoint=True, **kwargs)
         policy._warn_of_unreachable_actions()
-        if policy._labels is not None and policy.model.meta_controllers is not None:
-            policy.model.memory.widen(*map(torch.from_numpy, (policy._labels.shortest, policy._labels.longest)))
+        if policy.labels is not None and policy.model.meta_controllers is not None:
+            policy.model.memory.widen(*map(torch.from_numpy, (policy.labels.shortest, policy.labels.longest)))
         return policy
 
     def _warn_of_unreachable_actions(self) -> None:
@@ -123,7 +134,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
     def select_action(
         self, batch: dict[str, Any], noise: Tensor | None = None, override: Override | None = None, **kwargs: Any
     ) -> Tensor:
-        """Runs one control step of all environments of a batch.
+        """Runs one control step of all environments of a batch, on a CPU one by one.
 
         Args:
             batch: The inputs, and ``task`` strings where there are several tasks.
@@ -144,7 +155,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         if rollout is None or len(rollout.skill) != len(observation.images):
             rollout = Rollout.start(self.model, observation)
             self._rollouts[threading.get_ident()] = rollout
-        return rollout.step(self.model, observation, noise, override)
+        # On a CPU batches gain little, and without them no episode depends on those that run beside it.
+        return rollout.step(self.model, observation, noise, override, together=rollout.skill.device.type != "cpu")
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Any], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
@@ -183,4 +195,4 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
 
     def __getstate__(self) -> dict[str, Any]:
         """Leaves labels and rollouts out of copies: they belong to one process."""
-        return {**self.__dict__, "_labels": None, "_rollouts": {}}
+        return {**self.__dict__, "labels": None, "_rollouts": {}}

@@ -63,7 +63,12 @@ class Rollout:
         )
 
     def step(
-        self, model: BudsModel, observation: Observation, noise: Tensor | None = None, override: Override | None = None
+        self,
+        model: BudsModel,
+        observation: Observation,
+        noise: Tensor | None = None,
+        override: Override | None = None,
+        together: bool = True,
     ) -> Tensor:
         """Runs one control step: decides and plans where that is due, and takes the next action of every plan.
 
@@ -71,8 +76,10 @@ class Rollout:
             model: The model.
             observation: What is seen and felt now.
             noise: ``(B, latent)`` for the subgoals; see `BudsPolicy.select_action`.
-            override: Called at every decision with the ``(D,)`` int64 rows of the batch that decide now, their ``(D,)``
-                int64 skills and ``(D, d)`` subgoals; what it returns in the place of the last two is done.
+            override: Called at every decision with the ``(D,)`` int64 rows of the batch that decide together, their
+                ``(D,)`` int64 skills and ``(D, d)`` subgoals; what it returns in the place of the last two is done.
+            together: The networks take all rows at once. One by one is slower, and no row depends on any other: in
+                batches of another size networks round otherwise, which is enough to part trajectories.
 
         Returns:
             ``(B, A)`` actions, in the unit of the dataset.
@@ -80,16 +87,29 @@ class Rollout:
         due = (self.steps_left == 0) if model.config.has_subgoals else torch.zeros_like(self.planned, dtype=torch.bool)
         rows = (due | (self.planned == 0)).nonzero()[:, 0]
         if len(rows):
-            percept, due = model.encode(observation[rows], self.history[rows]), due[rows]
-            if due.any():
-                decided = self._decide(model, percept[due], rows[due], noise)
-                if override is not None:
-                    decided = override(rows[due], *decided)
-                self._hold(model, rows[due], *decided)
-            actions = model.act(percept, self.skill[rows], self.subgoal[rows])
-            self.plan = self.plan.index_copy(0, rows, actions.to(self.plan.dtype))
-            self.planned = self.planned.index_fill(0, rows, model.config.n_action_steps)
+            for some in rows.split(len(rows) if together else 1):
+                self._plan(model, observation, some, due[some], noise, override)
         return self._advance(model.proprioception.reading(observation.state))
+
+    def _plan(
+        self,
+        model: BudsModel,
+        observation: Observation,
+        rows: Tensor,
+        due: Tensor,
+        noise: Tensor | None,
+        override: Override | None,
+    ) -> None:
+        """Plans anew for some rows, after deciding for those of them whose decision is due, ``(R,)`` bool."""
+        percept = model.encode(observation[rows], self.history[rows])
+        if due.any():
+            decided = self._decide(model, percept[due], rows[due], noise)
+            if override is not None:
+                decided = override(rows[due], *decided)
+            self._hold(model, rows[due], *decided)
+        actions = model.act(percept, self.skill[rows], self.subgoal[rows])
+        self.plan = self.plan.index_copy(0, rows, actions.to(self.plan.dtype))
+        self.planned = self.planned.index_fill(0, rows, model.config.n_action_steps)
 
     def foresee(
         self, model: BudsModel, observation: Observation, noise: Tensor | None = None, remembers: bool = True
@@ -113,16 +133,16 @@ class Rollout:
         self, model: BudsModel, percept: Percept, rows: Tensor, noise: Tensor | None, remembers: bool = True
     ) -> tuple[Tensor, Tensor]:
         """Asks the meta controllers of some rows for ``(D,)`` skills and ``(D, d)`` subgoals."""
-        size = len(self.skill), model.config.meta_latent
+        size = len(rows), model.config.meta_latent
         if not model.config.drawn_subgoals:
-            noise = torch.zeros(size)
-        elif noise is None:
-            noise = torch.randn(size)
+            drawn = torch.zeros(size)
+        else:
+            drawn = torch.randn(size) if noise is None else noise.to(rows.device)[rows]
         memory = self.skill[rows], self.held_for[rows], self.finished[rows]
         situation = model.situation(percept, *memory)
         if not remembers:
             situation = replace(situation, remembers=torch.zeros_like(situation.remembers))
-        return model.decide(situation, noise.to(percept.images)[rows])
+        return model.decide(situation, drawn.to(percept.images))
 
     def _hold(self, model: BudsModel, rows: Tensor, skill: Tensor, subgoal: Tensor) -> None:
         """Puts new decisions of some rows into force."""

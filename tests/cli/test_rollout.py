@@ -89,8 +89,7 @@ def test_an_interrupted_run_goes_on(settings, output: Path, tmp_path: Path, monk
     whole = roll_out(settings(tmp_path / "run", batch_size=1))
     assert [episode.seed for episode in whole.episodes] == [500_000, 500_001]
     assert whole.episodes[0] == first.episodes[0] and video.stat().st_mtime_ns == written
-    unbroken = RolloutRecord.read(output)
-    assert [e.stage_steps for e in whole.episodes] == [e.stage_steps for e in unbroken.episodes]
+    assert whole.episodes == RolloutRecord.read(output).episodes  # whatever runs beside an episode
 
     def never(*_):
         raise AssertionError("everything was done")

@@ -28,7 +28,7 @@ def made(segmented: Path, small: dict):
         torch.manual_seed(0)
         meta = LeRobotDatasetMetadata("tests/x", root=segmented)
         policy = make_policy(BudsConfig(**small | settings), ds_meta=meta)
-        return policy, RecordedFrames(segmented, policy.config)
+        return policy, RecordedFrames(segmented, policy)
 
     return made
 

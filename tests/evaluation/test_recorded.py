@@ -26,7 +26,8 @@ def test_batches_are_those_of_lerobot(segmented: Path, small: dict, settings: di
     config = policy.config
     deltas = {ACTION: [i / meta.fps for i in range(config.chunk_size)]} if config.chunk_size > 1 else None
     dataset = LeRobotDataset("tests/x", root=segmented, delta_timestamps=deltas)
-    frames = RecordedFrames(segmented, config)
+    frames = RecordedFrames(segmented, policy)
+    assert frames.label_table is policy.labels  # latents of all frames are made once
     rows = np.array([0, 1, 50, frames.ends[0] - 2, frames.ends[0] - 1, frames.ends[0], len(dataset) - 1])
     prepare, _ = make_pre_post_processors(config, dataset_stats=meta.stats)
     batch = prepare(torch.utils.data.default_collate([dataset[int(row)] for row in rows]))

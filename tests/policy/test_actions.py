@@ -1,7 +1,5 @@
 """Actions of any unit and type: scaled inside the policy, exact at the bounds, kept with the weights."""
 
-import json
-
 import numpy as np
 import pytest
 import torch
@@ -159,20 +157,14 @@ def test_an_arm_in_degrees_is_learnt(so101, so101_policy):
     assert np.array_equal(said[:, 5], told[:, 5])  # 0 or 100
 
 
-def test_checkpoints_from_before_act_as_before(build, batch_of, tmp_path):
-    policy = build(action_scaling="none", binary_dims=[])
-    policy.save_pretrained(tmp_path)
+def test_without_scaling_a_checkpoint_holds_no_bounds_and_actions_are_those_of_tanh(build, batch_of, tmp_path):
+    build(action_scaling="none", binary_dims=[]).save_pretrained(tmp_path)
     assert not [name for name in load_file(tmp_path / "model.safetensors") if name.startswith("model.actions")]
-    config = json.loads((tmp_path / "config.json").read_text())
-    for field in ("action_scaling", "binary_dims", "cameras"):
-        del config[field]
-    config |= {"current_state": ["*joint*"], "history_state": ["*gripper*"], "fps": 20}
-    (tmp_path / "config.json").write_text(json.dumps(config))
     outputs = []
     policy = BudsPolicy.from_pretrained(tmp_path)
     policy.model.skills.register_forward_hook(lambda _, __, output: outputs.append(output))
     action = policy.select_action({k: v for k, v in batch_of(0, 12).items() if k.startswith("observation")})
-    assert torch.equal(action, torch.tanh(outputs[0])[:, 0])
+    assert torch.equal(action, torch.tanh(torch.cat(outputs))[:, 0])
 
 
 def test_a_checkpoint_keeps_its_scaling_on_other_data(so101, so101_policy, record_robot, tmp_path, caplog, small):
@@ -197,23 +189,18 @@ def test_a_checkpoint_keeps_its_scaling_on_other_data(so101, so101_policy, recor
     assert not caplog.text
 
 
-@pytest.mark.parametrize("older", [False, True])
-def test_skills_of_a_library_keep_its_scaling(build, batch_of, tmp_path, older):
-    library = build(action_scaling="none", binary_dims=[]) if older else build()
+@pytest.mark.parametrize("scaling", ["bounds", "none"])
+def test_skills_of_a_library_keep_its_scaling(build, tmp_path, scaling):
+    library = build(action_scaling=scaling, binary_dims=[])
+    with torch.no_grad():  # as if from other data
+        library.model.actions.high *= 3
     library.save_pretrained(tmp_path)
-    if older:
-        config = json.loads((tmp_path / "config.json").read_text())
-        del config["action_scaling"], config["binary_dims"]
-        (tmp_path / "config.json").write_text(json.dumps(config))
-    else:
-        with torch.no_grad():  # as if from other data
-            library.model.actions.high *= 3
-        library.save_pretrained(tmp_path)
     policy = build(skills_path=str(tmp_path))
-    assert policy.config.action_scaling == ("none" if older else "bounds")
+    assert policy.config.action_scaling == scaling
     said = torch.tensor([-1.0, -0.5, 0.3, 1.0])
     decoded = policy.model.actions.decode(said)
-    assert torch.equal(decoded, library.model.actions.decode(said)) and torch.equal(decoded, said) is older
+    assert torch.equal(decoded, library.model.actions.decode(said))
+    assert torch.equal(decoded, said) is (scaling == "none")
 
 
 @pytest.mark.parametrize("skills", ["segments", "single", "flat"])

@@ -213,6 +213,22 @@ def test_a_dataset_with_an_unknown_task_is_refused(build):
         build(tasks=["Open the drawer"])
 
 
+@pytest.mark.parametrize("settings", [{}, {"meta_controllers": "conditioned"}, {"skills": "flat"}])
+def test_only_meta_controllers_of_their_own_take_another_task(build, tmp_path, settings, task):
+    known, more = [task, "Boil the pot"], "Open the drawer"
+    build(tasks=known, **settings).save_pretrained(tmp_path)
+    build(tasks=known, pretrained_path=tmp_path, **settings)
+    with pytest.raises(ConfigError, match=r"changes the order of the checkpoint's tasks, \['Close.*', 'Boil the pot'\]"):
+        build(tasks=known[::-1], pretrained_path=tmp_path, **settings)
+    if not settings:
+        tuned = build(tasks=[*known, more], pretrained_path=tmp_path)
+        assert len(tuned.model.meta_controllers.controllers) == 3
+        return
+    library = "skills_path" if "skills" not in settings else "new policy on all tasks\\. "
+    with pytest.raises(ConfigError, match=rf"whose tasks are \['Close.*', 'Boil the pot'\]: one network.*{library}"):
+        build(tasks=[*known, more], pretrained_path=tmp_path, **settings)
+
+
 def load(name, *overrides):
     """Parses a policy file the way the console scripts do."""
 
