@@ -225,7 +225,8 @@ def examine(installation: Installation) -> Iterator[Finding]:
 
 def this_installation() -> Installation:
     """Describes the interpreter that runs this, without importing the plugin yet."""
-    found = {d.metadata["Name"]: d.version for d in metadata.distributions()}
+    # Of a package that lies on the path twice, the first is imported.
+    found = {d.metadata["Name"]: d.version for d in reversed(list(metadata.distributions()))}
     return Installation(
         plugins=list(found),
         requirements=metadata.requires(DISTRIBUTION) or () if DISTRIBUTION in found else (),
