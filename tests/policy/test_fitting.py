@@ -218,7 +218,9 @@ def test_only_meta_controllers_of_their_own_take_another_task(build, tmp_path, s
     known, more = [task, "Boil the pot"], "Open the drawer"
     build(tasks=known, **settings).save_pretrained(tmp_path)
     build(tasks=known, pretrained_path=tmp_path, **settings)
-    with pytest.raises(ConfigError, match=r"changes the order of the checkpoint's tasks, \['Close.*', 'Boil the pot'\]"):
+    with pytest.raises(
+        ConfigError, match=r"changes the order of the checkpoint's tasks, \['Close.*', 'Boil the pot'\]"
+    ):
         build(tasks=known[::-1], pretrained_path=tmp_path, **settings)
     if not settings:
         tuned = build(tasks=[*known, more], pretrained_path=tmp_path)
