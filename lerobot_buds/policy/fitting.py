@@ -199,8 +199,8 @@ def check_tasks(config: BudsConfig, trained: BudsConfig) -> None:
         library = ", or take the skills over with policy.skills_path" if trained.has_subgoals else ""
         raise ConfigError(
             f"tasks={config.tasks} does not fit the checkpoint, whose tasks are {trained.tasks}: one network knows "
-            f"them all, and none can be added to it or left out. Train a new policy on all tasks{library}. Only a policy "
-            "with a meta controller for every task (meta_controllers='per_task') can be given more."
+            f"them all, and none can be added to it or left out. Train a new policy on all tasks{library}. Only a "
+            "policy with a meta controller for every task (meta_controllers='per_task') can be given more."
         )
 
 
