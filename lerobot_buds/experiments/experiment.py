@@ -32,6 +32,7 @@ class Recipe:
         representation: Settings of the representation (``--representation.*``) beside those of the size.
         segmented: Those of the tasks whose demonstrations are segmented; empty for all.
         discovery: Settings file of skill discovery.
+        labels_from: Where skills come from instead of being discovered, as for ``lerobot-buds-segment``.
         segmentation: Further settings of skill discovery (``--discovery.*``).
         library: Tasks on whose demonstrations a library of skills is trained first; empty for none.
         trained: Tasks on whose demonstrations the policy is trained, with a library its meta controllers alone; empty
@@ -48,6 +49,7 @@ class Recipe:
     representation: dict[str, Any] = field(default_factory=dict)
     segmented: str = ""
     discovery: str = ""
+    labels_from: str = ""
     segmentation: dict[str, Any] = field(default_factory=dict)
     library: str = ""
     trained: str = ""

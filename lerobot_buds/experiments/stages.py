@@ -202,7 +202,9 @@ def _segment(cell: Cell, size: Size, recorded: Demonstrations, configs: Path) ->
     )
     options: dict[str, Any] = {**source, "representation_path": f"{represent.path}/work/representation"}
     files: tuple[Path, ...] = ()
-    if recipe.discovery:
+    if recipe.labels_from:
+        options["labels_from"] = recipe.labels_from
+    elif recipe.discovery:
         options["discovery"] = f"include {recipe.discovery}"
         files = (configs.parent / recipe.discovery,)
     options |= {f"discovery.{name}": value for name, value in recipe.segmentation.items()}
