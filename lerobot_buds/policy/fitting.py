@@ -198,9 +198,9 @@ def check_tasks(config: BudsConfig, trained: BudsConfig) -> None:
     if _tasks_in_weights(config) != _tasks_in_weights(trained):
         library = ", or take the skills over with policy.skills_path" if trained.has_subgoals else ""
         raise ConfigError(
-            f"tasks={config.tasks} does not fit the checkpoint, whose tasks are {trained.tasks}: one network knows "
-            f"them all, and none can be added to it or left out. Train a new policy on all tasks{library}. Only a "
-            "policy with a meta controller for every task (meta_controllers='per_task') can be given more."
+            f"tasks={config.tasks} does not fit the checkpoint of tasks {trained.tasks}: one network knows them all, "
+            f"and none can be added to it or left out. Train a new policy on all tasks{library}. Only a policy with a "
+            "meta controller for every task (meta_controllers='per_task') can be given more."
         )
 
 

@@ -87,7 +87,7 @@ class Rollout:
         due = (self.steps_left == 0) if model.config.has_subgoals else torch.zeros_like(self.planned, dtype=torch.bool)
         rows = (due | (self.planned == 0)).nonzero()[:, 0]
         if len(rows):
-            for some in rows.split(len(rows) if together else 1):
+            for some in torch.split(rows, len(rows) if together else 1):
                 self._plan(model, observation, some, due[some], noise, override)
         return self._advance(model.proprioception.reading(observation.state))
 

@@ -65,7 +65,7 @@ def test_every_environment_plans_for_itself(build, observe, looks):
     rollout_of(policy).steps_left = torch.tensor([4, 0])
     old = rollout_of(policy).plan[:, 0]
     together = policy.select_action(observe(1, 13))
-    assert noted == [2, 1]
+    assert noted == [1, 1, 1]  # both look, one after the other, then the second alone
     assert torch.equal(together[0], old[0]) and not torch.equal(together[1], old[1])
     policy.reset()
     torch.testing.assert_close(policy.select_action(observe(13))[0], together[1])

@@ -218,16 +218,14 @@ def test_only_meta_controllers_of_their_own_take_another_task(build, tmp_path, s
     known, more = [task, "Boil the pot"], "Open the drawer"
     build(tasks=known, **settings).save_pretrained(tmp_path)
     build(tasks=known, pretrained_path=tmp_path, **settings)
-    with pytest.raises(
-        ConfigError, match=r"changes the order of the checkpoint's tasks, \['Close.*', 'Boil the pot'\]"
-    ):
+    with pytest.raises(ConfigError, match=r"order of the checkpoint's tasks, \['Close.*', 'Boil the pot'\]"):
         build(tasks=known[::-1], pretrained_path=tmp_path, **settings)
     if not settings:
         tuned = build(tasks=[*known, more], pretrained_path=tmp_path)
         assert len(tuned.model.meta_controllers.controllers) == 3
         return
     library = "skills_path" if "skills" not in settings else "new policy on all tasks\\. "
-    with pytest.raises(ConfigError, match=rf"whose tasks are \['Close.*', 'Boil the pot'\]: one network.*{library}"):
+    with pytest.raises(ConfigError, match=rf"tasks \['Close.*', 'Boil the pot'\]: one network.*{library}"):
         build(tasks=[*known, more], pretrained_path=tmp_path, **settings)
 
 
