@@ -31,7 +31,7 @@ class MotionFailedError(BudsError):
 
 
 @dataclass(frozen=True)
-class Manner:
+class Traits:
     """How a demonstrator moves in one episode.
 
     Attributes:
@@ -47,9 +47,9 @@ class Manner:
     hesitation: float
 
 
-def draw_manner(rng: np.random.Generator) -> Manner:
-    """Draws one episode's manner. Ranges are ours: within SpaceMouse limits, with the paper's demonstration lengths."""
-    return Manner(
+def draw_traits(rng: np.random.Generator) -> Traits:
+    """Draws one episode's traits. Ranges are ours: within SpaceMouse limits, with the paper's demonstration lengths."""
+    return Traits(
         speed=rng.uniform(0.33, 0.625),
         tremor=rng.uniform(0.02, 0.08),
         curve=rng.uniform(0.0, 0.25),
@@ -79,7 +79,7 @@ class Demonstrator:
     ) -> None:
         self.state, self.rng = state, rng
         self._tremor_rng = tremor_rng or rng.spawn(1)[0]
-        self.manner = draw_manner(rng)
+        self.traits = draw_traits(rng)
         self.closed = False
         self.intention: Action = np.zeros(4, dtype=np.float32)
         self.retries = 0
@@ -121,11 +121,11 @@ class Demonstrator:
         Raises:
             MotionFailedError: The end was not reached in time.
         """
-        speed = self.manner.speed * self.rng.uniform(0.8, 1.2)
+        speed = self.traits.speed * self.rng.uniform(0.8, 1.2)
         start = target() - self.state.hand
-        bow = self.manner.curve * self.rng.uniform(-1, 1) * np.cross(start, [0.0, 0.0, 1.0])
+        bow = self.traits.curve * self.rng.uniform(-1, 1) * np.cross(start, [0.0, 0.0, 1.0])
         distance = float(np.linalg.norm(start)) + 1e-9
-        pause_at = self.rng.uniform(0.2, 0.8) * distance if self.rng.random() < self.manner.hesitation else -1.0
+        pause_at = self.rng.uniform(0.2, 0.8) * distance if self.rng.random() < self.traits.hesitation else -1.0
         pace = self._pace(speed, careful=until is not None or tolerance < COARSE)
         for _ in range(self.patience):
             error = target() - self.state.hand
@@ -145,7 +145,7 @@ class Demonstrator:
         """Stays where it is for some control steps, while the gripper closes or opens."""
         place = self.state.hand
         for _ in range(steps):
-            yield self._command(place - self.state.hand, self.manner.speed)
+            yield self._command(place - self.state.hand, self.traits.speed)
 
     def _pace(self, speed: float, careful: bool) -> Callable[[float], float]:
         """Makes the speed cap of one motion, by the distance that is left (m): constant in a script.
@@ -169,7 +169,7 @@ class Demonstrator:
         wish = _GAIN * aim / REACH
         wish *= min(1.0, speed / (float(np.linalg.norm(wish)) + 1e-9))
         # The stationary deviation of this process is `tremor`.
-        fresh = np.sqrt(1.0 - _TREMOR_MEMORY**2) * self.manner.tremor
+        fresh = np.sqrt(1.0 - _TREMOR_MEMORY**2) * self.traits.tremor
         self._tremor = _TREMOR_MEMORY * self._tremor + self._tremor_rng.normal(0.0, fresh, 3)
         self.intention = self._action(wish)
         return self._action(wish + self._unsteadiness(wish) * self._tremor)

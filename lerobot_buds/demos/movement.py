@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_buds.core import IntArray, segments_of
+from lerobot_buds.core import IntArray, Segment, segments_of
 
 Vec = NDArray[np.float64]
 
@@ -198,9 +198,9 @@ def _cell(name: str, value: float) -> str:
     return f"{value:.2f}" if name in ("smoothness", "detour", "near_speed") else f"{value:.1f}"
 
 
-def _is_brief(grips: Sequence[object], number: int, fps: float) -> bool:
+def _is_brief(grips: Sequence[Segment], number: int, fps: float) -> bool:
     segment = grips[number]
-    return bool(segment.label and 0 < number < len(grips) - 1 and segment.length < BRIEF_GRIP_S * fps)  # type: ignore[attr-defined]
+    return bool(segment.label and 0 < number < len(grips) - 1 and segment.length < BRIEF_GRIP_S * fps)
 
 
 def _norms(vectors: Vec) -> Vec:

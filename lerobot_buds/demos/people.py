@@ -12,7 +12,7 @@ import numpy as np
 
 from lerobot_buds.envs import FPS, SimulationView
 
-from .motions import COARSE, Action, Choice, Demonstrator, Manner, Target, Vec
+from .motions import COARSE, Action, Choice, Demonstrator, Target, Traits, Vec
 
 _SPEED_MEMORY = 0.93
 _STARTING = 12
@@ -31,7 +31,7 @@ _GRIPPING = 0.15
 
 @dataclass(frozen=True)
 class Habits:
-    """What a person does in one episode beside what `Manner` says.
+    """What a person does in one episode beside what `Traits` says.
 
     Attributes:
         thinking: Chance of a pause before a stage.
@@ -77,7 +77,7 @@ class Person(Demonstrator):
         self, state: SimulationView, rng: np.random.Generator, tremor_rng: np.random.Generator | None = None
     ) -> None:
         super().__init__(state, rng, tremor_rng)
-        self.manner = Manner(
+        self.traits = Traits(
             speed=rng.uniform(0.45, 0.95),
             tremor=rng.uniform(0.02, 0.06),
             curve=rng.uniform(0.0, 0.3),
@@ -114,7 +114,7 @@ class Person(Demonstrator):
         if until is None and tolerance >= COARSE and far and self.rng.random() < self.habits.overshoot:
             yield from self._overshoot(target, way)
         motion = super().move(target, tolerance, until)
-        if until is None or self.rng.random() > self.manner.hesitation:
+        if until is None or self.rng.random() > self.traits.hesitation:
             yield from motion
             return
         # Pushed or pulled in two goes: the end of such a motion is no distance, after which it could pause.

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_buds.demos.attempts import attempt
-from lerobot_buds.demos.motions import Demonstrator, Manner, MotionFailedError, draw_manner
+from lerobot_buds.demos.motions import Demonstrator, MotionFailedError, Traits, draw_traits
 from lerobot_buds.demos.stages import STAGES
 
 TASK = "multitask_kitchen/task3_variant1"
@@ -125,7 +125,7 @@ def test_the_manner_sets_the_speed():
     for speed in (0.3, 0.6):
         world = FreeWorld()
         hand = demonstrator(world)
-        hand.manner = Manner(speed=speed, tremor=0.0, curve=0.0, hesitation=0.0)
+        hand.traits = Traits(speed=speed, tremor=0.0, curve=0.0, hesitation=0.0)
         lengths.append(len(drive(world, hand.move(lambda: np.array([0.1, 0.1, 1.1]), 0.02))))
     assert lengths[0] > 1.5 * lengths[1]
 
@@ -152,9 +152,9 @@ def test_an_attempt_fails_whose_goal_does_not_hold_at_the_end():
 
 @given(st.integers(0, 2**32 - 1))
 def test_manners_are_human(seed):
-    manner = draw_manner(np.random.default_rng(seed))
-    assert 0.33 <= manner.speed <= 0.625  # the SpaceMouse's limit
-    assert 0 < manner.tremor < 0.1 and 0 <= manner.curve <= 0.25 and 0 <= manner.hesitation < 1
+    traits = draw_traits(np.random.default_rng(seed))
+    assert 0.33 <= traits.speed <= 0.625  # the SpaceMouse's limit
+    assert 0 < traits.tremor < 0.1 and 0 <= traits.curve <= 0.25 and 0 <= traits.hesitation < 1
 
 
 def test_a_seed_decides_a_motion():

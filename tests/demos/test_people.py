@@ -177,7 +177,7 @@ def test_a_push_that_slips_passes_over_the_lever_and_is_done_again(seed: int) ->
 def test_an_overshot_motion_passes_its_target_and_arrives() -> None:
     table = Table(Person)
     person = never_missing(table.demonstrator, overshoot=1.0)
-    person.manner = replace(person.manner, curve=0.0, hesitation=0.0, tremor=0.0)
+    person.traits = replace(person.traits, curve=0.0, hesitation=0.0, tremor=0.0)
     target = np.array([0.1, 0.0, 1.0])
     path = table.run(person.move(lambda: target))
     assert path[:, 0].max() > 0.108 and path[:, 2].min() > 0.985
@@ -208,9 +208,9 @@ def test_the_intention_is_the_action_without_the_tremor(who: type[Demonstrator])
 
     table.run(motion())
     apart = np.array(table.actions) - np.array(meant)
-    assert 0.3 * hand.manner.tremor < apart[:, :3].std() < 1.7 * hand.manner.tremor
+    assert 0.3 * hand.traits.tremor < apart[:, :3].std() < 1.7 * hand.traits.tremor
     assert (apart[:, 3] == 0).all()
-    hand.manner, hand._tremor = replace(hand.manner, tremor=0.0), np.zeros(3)
+    hand.traits, hand._tremor = replace(hand.traits, tremor=0.0), np.zeros(3)
     np.testing.assert_array_equal(next(iter(hand.move(lambda: np.zeros(3)))), hand.intention)
 
 
