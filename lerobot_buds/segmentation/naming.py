@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Hashable, Sequence
 from pathlib import Path
-from reprlib import repr  # of bounded length: the file may be anybody's
+from reprlib import Repr
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,6 +36,8 @@ _CLEAR = 0.3
 """Share of its range by which a gripper opens or closes, else it stays (ours)."""
 
 _SHOWN = 10
+
+_short = Repr(maxlevel=1).repr  # the file may be anybody's, with texts of any length and lists of lists of lists
 
 _HEADER = """\
 # Names of the skills of this dataset, one line each, all different. Edit them, then write them into the dataset:
@@ -135,18 +137,20 @@ def read_names(path: Path, n_skills: int) -> tuple[str, ...]:
 def _faults(skills: dict[Any, Any], n_skills: int) -> list[str]:
     known = f"the dataset has 0 to {n_skills - 1}"
     unknown = [key for key in skills if isinstance(key, bool) or key not in range(n_skills)]
-    faults = [f"there is no skill {repr(key)} ({known})" for key in unknown]
+    faults = [f"there is no skill {_short(key)} ({known})" for key in unknown]
     faults += [f"skill {number} has no name ({known})" for number in range(n_skills) if number not in skills]
     seen: dict[str, Any] = {}
     for key, name in skills.items():
         if not isinstance(name, str):
-            faults.append(f'the name of skill {repr(key)} is read as {repr(name)}, no text: put it in quotes ("...")')
+            faults.append(
+                f'the name of skill {_short(key)} is read as {_short(name)}, no text: put it in quotes ("...")'
+            )
         elif not name.strip():
-            faults.append(f"the name of skill {repr(key)} is empty")
+            faults.append(f"the name of skill {_short(key)} is empty")
         elif any(0xD800 <= ord(letter) <= 0xDFFF for letter in name):
-            faults.append(f"the name of skill {repr(key)} has half of a surrogate pair, which is no text")
+            faults.append(f"the name of skill {_short(key)} has half of a surrogate pair, which is no text")
         elif name in seen:
-            faults.append(f"skills {seen[name]} and {repr(key)} are both named {repr(name)}")
+            faults.append(f"skills {seen[name]} and {_short(key)} are both named {_short(name)}")
         else:
             seen[name] = key
     return faults
@@ -165,6 +169,6 @@ class _NoDuplicates(yaml.SafeLoader):  # type: ignore[misc]
         keys = (self.construct_object(key, deep=True) for key, _ in node.value)
         counts = Counter(key for key in keys if isinstance(key, Hashable))
         if twice := [key for key, count in counts.items() if count > 1]:
-            raise yaml.constructor.ConstructorError(None, None, f"{repr(twice[0])} stands twice", node.start_mark)
+            raise yaml.constructor.ConstructorError(None, None, f"{_short(twice[0])} stands twice", node.start_mark)
         mapping: dict[Hashable, Any] = super().construct_mapping(node, deep)
         return mapping
