@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lerobot.datasets import LeRobotDataset, add_features, remove_feature
+from lerobot.datasets import LeRobotDataset, add_features, delete_episodes, remove_feature
 
 from lerobot_buds.cli import compare, name
 from lerobot_buds.cli.segment import segment
 from lerobot_buds.core import NAMES_FILE, ConfigError, DatasetError, SegmentationError, read_json
-from lerobot_buds.segmentation import SegmentationRecord, SkillModel, load_labels, names_of
+from lerobot_buds.segmentation import SegmentationRecord, SkillModel, load_labels, names_of, write_segmented_dataset
 
 LENGTHS = (30, 24)
 SUBTASKS = [[(0.0, "reach"), (0.75, "pull"), (1.2, "reach")], [(0.0, "reach"), (0.6, "<i>let go</i>")]]
@@ -163,3 +163,23 @@ def test_subtasks_are_a_truth_to_compare_with(
     with pytest.raises(SystemExit) as stop:
         compare.main()
     assert "no column 'subtask'" in str(stop.value.code) and "Did you mean 'subtasks'" in str(stop.value.code)
+
+
+def test_videos_are_left_alone(
+    make_dataset: Callable[..., Path], hashes: Callable[[Path], dict[str, str]], tmp_path: Path
+) -> None:
+    source = make_dataset(tmp_path / "video", lengths=(20, 16), video=True)
+    record = SegmentationRecord.of_labels(
+        [np.repeat([0, 1], [12, 8]), np.repeat([1], 16)], repo_id="tests/foreign", fps=20, horizon=4
+    )
+    write_segmented_dataset(source, tmp_path / "skills", "tests/skills", record)
+    before = {path: digest for path, digest in hashes(tmp_path / "skills").items() if path.startswith("videos")}
+    name.name_skills(name.NameConfig(root=tmp_path / "skills"))
+    after = {path: digest for path, digest in hashes(tmp_path / "skills").items() if path.startswith("videos")}
+    assert before and before == after
+    edited = delete_episodes(
+        LeRobotDataset("t/s", root=tmp_path / "skills"), [0], tmp_path / "edited", repo_id="t/edited"
+    )
+    item = LeRobotDataset("t/edited", root=edited.root)[3]
+    assert item["observation.images.front"].shape == (3, 32, 32)
+    assert [row["content"] for row in item["language_persistent"]] == [names_of(tmp_path / "skills", 2)[1]]
