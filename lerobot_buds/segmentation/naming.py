@@ -102,9 +102,10 @@ def write_names(path: Path, names: Sequence[str]) -> None:
     Raises:
         StorageError: The file cannot be written.
     """
-    content = {"version": NAMES_VERSION, "skills": dict(enumerate(names))}
-    text = _HEADER + yaml.safe_dump(content, allow_unicode=True, sort_keys=False, width=float("inf"))
-    write_atomically(path, lambda part: part.write_bytes(text.encode()))
+    # Each in double quotes: the only style in which PyYAML reads all that it has written, U+2028 for example.
+    quoted = [yaml.safe_dump(name, default_style='"', allow_unicode=True, width=float("inf")) for name in names]
+    lines = [f"version: {NAMES_VERSION}\nskills:\n", *(f"  {number}: {name}" for number, name in enumerate(quoted))]
+    write_atomically(path, lambda part: part.write_bytes((_HEADER + "".join(lines)).encode()))
 
 
 def read_names(path: Path, n_skills: int) -> tuple[str, ...]:

@@ -96,8 +96,8 @@ def test_names_are_written_edited_and_applied(
 ) -> None:
     path = tmp_path / "names.yaml"
     run(monkeypatch, f"--root={labelled}", f"--names={path}")
-    assert "edit the names" in capsys.readouterr().out and "1: pull" in path.read_text()
-    path.write_text(path.read_text().replace("1: pull", '1: "pull the drawer"'))
+    assert "edit the names" in capsys.readouterr().out and '1: "pull"' in path.read_text()
+    path.write_text(path.read_text().replace('1: "pull"', "1: pull the drawer"))
     run(monkeypatch, f"--root={labelled}", f"--names={path}")
     assert "subtasks of the dataset now" in capsys.readouterr().out
     assert names_of(labelled, 3) == ("reach", "pull the drawer", "<i>let go</i>")
@@ -121,8 +121,8 @@ def test_a_dataset_of_an_earlier_version_gets_automatic_names(
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("1: pull", "7: pull"), "there is no skill 7"),
-        (("1: pull", "1: reach"), "skills 0 and 1 are both named 'reach'"),
+        (("1: ", "7: "), "there is no skill 7"),
+        (('"pull"', "reach"), "skills 0 and 1 are both named 'reach'"),
     ],
 )
 def test_a_wrong_edit_ends_in_one_line_and_changes_nothing(
