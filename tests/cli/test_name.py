@@ -10,7 +10,7 @@ import pytest
 from lerobot.datasets import LeRobotDataset, add_features, delete_episodes, remove_feature
 
 from lerobot_buds.cli import compare, name
-from lerobot_buds.cli.segment import segment
+from lerobot_buds.cli.segment import SegmentConfig, segment
 from lerobot_buds.core import NAMES_FILE, ConfigError, DatasetError, SegmentationError, read_json
 from lerobot_buds.segmentation import SegmentationRecord, SkillModel, load_labels, names_of, write_segmented_dataset
 
@@ -35,9 +35,10 @@ def labelled(annotated: Path, settings: Callable, tmp_path: Path) -> Path:
     return tmp_path / "skills"
 
 
-def from_labels(source: Path, folder: Path, settings: Callable, where: str):
+def from_labels(source: Path, folder: Path, settings: Callable, where: str) -> SegmentConfig:
+    """Settings without any of discovery, which would have no effect."""
     plain = settings(source, folder)
-    plain.discovery = type(plain)(plain.repo_id).discovery
+    plain.discovery = SegmentConfig(plain.repo_id).discovery
     plain.labels_from = where
     return plain
 
@@ -79,16 +80,12 @@ def test_export_import_export(labelled: Path, settings: Callable, tmp_path: Path
     assert (tmp_path / "second/skills" / NAMES_FILE).read_text() == (labelled / NAMES_FILE).read_text()
 
 
-def test_what_cannot_work_is_refused_before_anything_is_trained(
-    annotated: Path, refused: Callable[..., str], library_of: str = "somebody/skills"
-) -> None:
-    assert "'grasped'" in refused(annotated, DatasetError, labels_from="grasped", discovery=PLAIN)
+def test_what_cannot_work_is_refused_before_anything_is_trained(annotated: Path, refused: Callable[..., str]) -> None:
+    plain = {"window_s": None, "max_skills": None, "min_skill_s": None}
+    assert "'grasped'" in refused(annotated, DatasetError, labels_from="grasped", discovery=plain)
     assert "settings ['discovery'] have no effect" in refused(annotated, ConfigError, labels_from="true_stage")
-    for other in ({"library": library_of}, {"representation_only": True}):
+    for other in ({"library": "somebody/skills"}, {"representation_only": True}):
         assert "labels_from" in refused(annotated, ConfigError, labels_from="subtasks", **other)
-
-
-PLAIN = {"window_s": None, "max_skills": None, "min_skill_s": None}
 
 
 def test_names_are_written_edited_and_applied(
