@@ -1,8 +1,10 @@
 """Keeps every test off the Hub and out of the user's folders; records the demonstrations that several tests read."""
 
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -17,6 +19,26 @@ os.environ["HF_LEROBOT_HOME"] = _HOME.name
 os.environ["HF_HUB_OFFLINE"] = "1"
 os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # tiny tensors: threads would only wait for one another
+
+
+@pytest.fixture
+def annotate(tmp_path: Path) -> Callable[..., Path]:
+    """Annotates a dataset in place by the writer of lerobot-annotate: ``(start, text)`` of the subtasks per episode."""
+    from lerobot.annotations.steerable_pipeline.executor import Executor
+    from lerobot.annotations.steerable_pipeline.reader import iter_episodes
+    from lerobot.annotations.steerable_pipeline.staging import EpisodeStaging
+    from lerobot.annotations.steerable_pipeline.writer import LanguageColumnsWriter
+
+    def write(root: Path, subtasks: Sequence[Sequence[tuple[float, str]]], *others: dict[str, Any]) -> Path:
+        staging = tmp_path / "staging"
+        for number, rows in enumerate(subtasks):
+            plain = [{"role": "assistant", "content": c, "style": "subtask", "timestamp": t} for t, c in rows]
+            EpisodeStaging(staging, number).write("plan", [*plain, *others])
+        LanguageColumnsWriter().write_all(list(iter_episodes(root)), staging, root)
+        Executor._ensure_annotation_metadata_in_info(root)
+        return root
+
+    return write
 
 
 @pytest.fixture(scope="session")

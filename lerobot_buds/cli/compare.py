@@ -10,15 +10,24 @@ from lerobot_buds.core import (
     ACTION,
     OUR_STATE,
     STATE,
+    SUBTASKS,
     TRUE_STAGE,
     ConfigError,
     DatasetError,
     FloatArray,
     dims_used,
+    near_names,
     remove_leftovers,
     write_json,
 )
-from lerobot_buds.data import LocalDataset, check_demonstrations, dimension_names, only_writer, read_table
+from lerobot_buds.data import (
+    LocalDataset,
+    check_demonstrations,
+    dimension_names,
+    given_labels,
+    only_writer,
+    read_table,
+)
 from lerobot_buds.evaluation import (
     METHODS,
     Demonstrations,
@@ -31,7 +40,7 @@ from lerobot_buds.evaluation import (
 from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
 from lerobot_buds.segmentation import DiscoveryConfig
 
-from .datasets import DatasetOptions, true_stages
+from .datasets import DatasetOptions
 from .running import parse, run
 
 logger = logging.getLogger(__name__)
@@ -44,10 +53,14 @@ GRIP_AND_REST = "grip and rest"
 
 @dataclass
 class CompareConfig(DatasetOptions):
-    """Settings of a comparison; the dataset needs the column ``true_stage``, as scripted demonstrations have it."""
+    """Settings of a comparison; the dataset needs labels to score against."""
 
     work_dir: Path | None = None
     """Keeps the representations and the results; None for ``outputs/compare/`` and the dataset's name."""
+
+    truth: str = TRUE_STAGE
+    """What is scored against: a column such as ``true_stage``, which scripted demonstrations have, or the ``subtasks``
+    that people or lerobot-annotate wrote."""
 
     seeds: int = 3
     """Number of seeds, from 0: each trains its own representation and clusters with it."""
@@ -74,22 +87,25 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
 
     Raises:
         ConfigError: A setting cannot work, or ruptures is missing.
-        DatasetError: The dataset is damaged or incomplete, its true stages are not known, or another process is at the
+        DatasetError: The dataset is damaged or incomplete, its truth is not known, or another process is at the
             same work.
         SegmentationError: It cannot be segmented as asked.
     """
     if config.seeds < 1:
         raise ConfigError(f"seeds={config.seeds} cannot work; it must be at least 1.")
     dataset = config.open()
-    if TRUE_STAGE not in dataset.features:
-        raise DatasetError(f"{dataset.root} has no column {TRUE_STAGE!r}: no segmentation can be scored.")
+    if config.truth not in (SUBTASKS, *dataset.features):
+        raise DatasetError(
+            f"{dataset.root} has no column {config.truth!r}: no segmentation can be scored. "
+            f"{near_names(config.truth, [SUBTASKS, *dataset.features])}"
+        )
+    stages, fps = given_labels(dataset, config.truth).labels, dataset.fps
     dataset.require([STATE, ACTION])
     position, fingers = (_signal(dataset, getattr(config, name), name) for name in OURS)
     gripper = [np.abs(opening).sum(axis=1) / max(1, opening.shape[1]) for opening in fingers]
     are_ours = tuple(dimension_names(dataset.features[STATE])) == OUR_STATE
     methods = _methods(config, are_ours or (config.position is not None and config.gripper is not None))
     check_demonstrations(dataset, config.representation.cameras, side=config.representation.side)
-    stages, fps = true_stages(dataset), dataset.fps
     results: list[Result] = []
     with only_writer(work_dir):
         for seed in range(config.seeds):

@@ -5,8 +5,17 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from lerobot_buds.core import ACTION, STATE, TRUE_STAGE, ConfigError, IntArray, frames_of_seconds, remove_leftovers
-from lerobot_buds.data import LocalDataset, check_demonstrations, only_writer
+from lerobot_buds.core import (
+    ACTION,
+    LANGUAGE_COLUMNS,
+    STATE,
+    TRUE_STAGE,
+    ConfigError,
+    IntArray,
+    frames_of_seconds,
+    remove_leftovers,
+)
+from lerobot_buds.data import GivenLabels, LocalDataset, check_demonstrations, given_labels, only_writer
 from lerobot_buds.evaluation import agreement
 from lerobot_buds.representation import (
     Representation,
@@ -25,6 +34,7 @@ from lerobot_buds.segmentation import (
     discover_skills,
     draw_silhouettes,
     draw_timeline,
+    given_skills,
     preset,
     write_segmented_dataset,
 )
@@ -72,6 +82,10 @@ class SegmentConfig(DatasetOptions):
     grow: bool = False
     """Opens new skills for what is far from all skills of the library, which keep their numbers."""
 
+    labels_from: str | None = None
+    """Makes skills of labels that are there instead of discovering them: of a column such as ``true_stage``, or of the
+    ``subtasks`` that people or lerobot-annotate wrote."""
+
 
 def segment(config: SegmentConfig) -> SegmentationRecord | None:
     """Runs the whole pass; an interrupted one goes on where it was. What cannot work is refused before the training.
@@ -95,17 +109,21 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
         _take_share(config, dataset, work_dir)
         return None
     _check(config, dataset, output, work_dir)
+    given = None if config.labels_from is None else given_labels(dataset, config.labels_from)
+    if given is None and LANGUAGE_COLUMNS[0] in dataset.features:
+        logger.info("Language annotations stay as they are; --labels_from=subtasks would make skills of subtasks.")
     with only_writer(work_dir):
         for folder in (work_dir, work_dir / "representation"):
             remove_leftovers(folder)
         if config.representation_only:
             _represent(config, dataset, work_dir)
             return None
-        found = _discover(config, dataset, work_dir)
+        found = _discover(config, dataset, work_dir, given)
         stages = true_stages(dataset) if TRUE_STAGE in dataset.features else None
         record = _record(config, dataset, found, stages)
         _draw(record, found, dataset, work_dir, stages)
-        write_segmented_dataset(dataset, output, output_repo_id, record, found.model)
+        names = None if given is None else given.names
+        write_segmented_dataset(dataset, output, output_repo_id, record, found.model, names)
     logger.info("Pictures are in %s.", work_dir)
     return record
 
@@ -140,11 +158,14 @@ def _check(config: SegmentConfig, dataset: LocalDataset, output: Path, work_dir:
         raise ConfigError("grow=true opens new skills beside those of a library, but there is no library.")
     if config.representation_only and (config.library or config.representation_path):
         raise ConfigError("representation_only=true trains one: leave out library and representation_path.")
+    if config.labels_from is not None and (config.library is not None or config.representation_only):
+        raise ConfigError("labels_from makes skills of labels: leave out library and representation_only.")
     if work_dir.resolve().is_relative_to(dataset.root.resolve()):
         raise ConfigError(f"work_dir={work_dir} lies in {dataset.root}, which is only read; choose a folder outside.")
     for name, place, unused in (
         ("library", config.library, ("representation", "discovery", "representation_path", "preset")),
         ("representation_path", config.representation_path, ("representation",)),
+        ("labels_from", config.labels_from, ("discovery", "preset")),
     ):
         changed = [n for n in unused if getattr(config, n) != getattr(SegmentConfig(config.repo_id), n)]
         if place is not None and changed:
@@ -157,19 +178,24 @@ def _check(config: SegmentConfig, dataset: LocalDataset, output: Path, work_dir:
         check_target(dataset, output)
 
 
-def _discover(config: SegmentConfig, dataset: LocalDataset, work_dir: Path) -> DiscoveredSkills:
-    """Labels the demonstrations with the skills of a library, or with those that are found in them."""
+def _discover(
+    config: SegmentConfig, dataset: LocalDataset, work_dir: Path, given: GivenLabels | None
+) -> DiscoveredSkills:
+    """Labels the demonstrations with the skills of a library, with labels that are there, or with what is found."""
     if config.library is not None:
         model = SkillModel.from_pretrained(config.library)
         _check_representation(dataset, model.representation)
         return model.label(dataset, config.grow)
+    representation: Representation | RepresentationConfig = config.representation
     if config.representation_path is not None:
         representation = Representation.from_pretrained(config.representation_path)
         _check_representation(dataset, representation)
-        return discover_skills(dataset, representation, _discovery(config))
-    wanted = config.representation
-    _check_data(dataset, wanted.cameras, wanted.proprioception != [], wanted.side)
-    return discover_skills(dataset, config.representation, _discovery(config), work_dir)
+    else:
+        wanted = config.representation
+        _check_data(dataset, wanted.cameras, wanted.proprioception != [], wanted.side)
+    if given is not None:
+        return given_skills(dataset, given.labels, len(given.names), representation, _discovery(config), work_dir)
+    return discover_skills(dataset, representation, _discovery(config), work_dir)
 
 
 def _discovery(config: SegmentConfig) -> DiscoveryConfig:
@@ -201,6 +227,7 @@ def _record(
         seeds={"representation": model.representation.config.seed, "discovery": model.config.seed},
         representation={"hash": model.representation.hash, **asdict(model.representation.config)},
         agreement=asdict(agreement(found.labels, stages, fps)) if stages else None,
+        labels_from=config.labels_from,
         library=library or None,
         silhouettes={str(count): score for count, score in found.scores.items()} or None,
         stability=found.stability,

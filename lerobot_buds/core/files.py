@@ -79,6 +79,41 @@ def staged_directory(target: Path) -> Iterator[Path]:
         shutil.rmtree(staging, ignore_errors=True)
 
 
+@contextmanager
+def replaced_together() -> Iterator[Callable[[Path], Path]]:
+    """Replaces several files of which none is of use without the others: all are written first, then all are renamed.
+
+    A kill within the renames, a moment, leaves some of them old; whoever writes all of them again mends it.
+
+    Yields:
+        A function that takes a file to create or replace and returns the path to write its content to.
+
+    Raises:
+        StorageError: A file cannot be written; all are as they were.
+    """
+    parts: dict[Path, Path] = {}
+
+    def part_of(target: Path) -> Path:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        return parts.setdefault(target, _part_of(target))
+
+    try:
+        try:
+            yield part_of
+            for part in parts.values():
+                _sync(part)
+            for target, part in parts.items():
+                part.replace(target)
+        finally:
+            for part in parts.values():
+                part.unlink(missing_ok=True)
+    except OSError as error:
+        raise StorageError(
+            f"{', '.join(map(str, parts))} could not be written ({error}). Make room on the disk, or choose a folder "
+            "that can be written."
+        ) from error
+
+
 def remove_leftovers(folder: Path, name: str = "*") -> None:
     """Removes what writers that were killed left in a folder. Only for who keeps all other writers away by a lock.
 

@@ -15,6 +15,12 @@ SUBGOAL_INDEX = "subgoal_index"
 TRUE_STAGE = "true_stage"
 """int64 column of scripted demonstrations: the demonstrator's own stage. Scores segmentations, never trains."""
 
+SUBTASKS = "subtasks"
+"""In settings that say where labels come from: the subtasks among the dataset's language annotations, not a column."""
+
+LANGUAGE_COLUMNS = ("language_persistent", "language_events")
+"""LeRobot's columns of language annotations. Subtasks are rows of the first, repeated in all frames of an episode."""
+
 STATE = "observation.state"
 ACTION = "action"
 IMAGE_PREFIX = "observation.images."
@@ -38,6 +44,7 @@ RECORD_DIR = "meta/buds"
 
 SEGMENTATION_FILE = f"{RECORD_DIR}/segmentation.json"
 EXEMPLARS_FILE = f"{RECORD_DIR}/exemplars.safetensors"
+NAMES_FILE = f"{RECORD_DIR}/names.yaml"
 COLLECTION_FILE = f"{RECORD_DIR}/collection.json"
 CONTACT_SHEET_FILE = f"{RECORD_DIR}/contact_sheet.png"
 

@@ -5,6 +5,7 @@ from .checks import check_demonstrations, dimension_names, require_finite, requi
 from .collection import read_collection
 from .dataset import AnyDataset, LocalDataset
 from .frames import cached_frames, frames_key
+from .given import SUBTASK_STYLE, GivenLabels, given_labels, read_annotations
 from .hub import download, download_dataset, upload
 from .scaling import as_floats, scale_images
 from .store import EpisodeArray, FrameStore
@@ -12,10 +13,12 @@ from .tables import FrameTable, read_table
 from .writing import make_once, only_writer
 
 __all__ = [
+    "SUBTASK_STYLE",
     "AnyDataset",
     "EpisodeArray",
     "FrameStore",
     "FrameTable",
+    "GivenLabels",
     "LocalDataset",
     "as_floats",
     "cached_frames",
@@ -26,8 +29,10 @@ __all__ = [
     "download_dataset",
     "frame_size",
     "frames_key",
+    "given_labels",
     "make_once",
     "only_writer",
+    "read_annotations",
     "read_collection",
     "read_table",
     "require_finite",

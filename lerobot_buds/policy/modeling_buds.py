@@ -26,7 +26,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         config: The configuration; fields it leaves open are filled in place.
         dataset_stats: LeRobot's statistics of the dataset.
         dataset_meta: LeRobot's metadata of the dataset to train on; without it the policy can only act.
-        from_checkpoint: Weights will be loaded, so that those of a skill library are not wanted.
+        from_checkpoint: Weights will be loaded, so that those of a skill library are not wanted; the same where the
+            configuration names a checkpoint.
         kwargs: Whatever else LeRobot's factory hands to constructors; not used.
 
     Attributes:
@@ -51,6 +52,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
     ) -> None:
         super().__init__(config)
         self.config: BudsConfig = config
+        # LeRobots after 0.6.1 construct a policy without `from_pretrained` where its weights stream in afterwards.
+        from_checkpoint = from_checkpoint or config.pretrained_path is not None
         library = TrainedSkills.read(config.skills_path) if config.skills_path and not from_checkpoint else None
         self._found = complete(config, dataset_meta, library, from_checkpoint)
         self.labels = LabelTable(Path(dataset_meta.root), config) if dataset_meta is not None else None
@@ -129,6 +132,14 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
     def reset(self) -> None:
         """Forgets the calling thread's rollout; LeRobot may evaluate several tasks in threads that share the policy."""
         self._rollouts.pop(threading.get_ident(), None)
+
+    def drop_queued_actions(self) -> None:
+        """Has the calling thread's rollout decide and plan anew at its next step, for a new task say; the rest stays.
+
+        LeRobots after 0.6.1 call it; theirs finds queues of actions by name, and there is none here.
+        """
+        if (rollout := self._rollouts.get(threading.get_ident())) is not None:
+            rollout.drop_plans()
 
     @torch.no_grad()
     def select_action(

@@ -111,6 +111,10 @@ class Rollout:
         self.plan = self.plan.index_copy(0, rows, actions.to(self.plan.dtype))
         self.planned = self.planned.index_fill(0, rows, model.config.n_action_steps)
 
+    def drop_plans(self) -> None:
+        """Ends all decisions and plans here: the next step makes new ones. Memory and readings stay."""
+        self.steps_left, self.planned = torch.zeros_like(self.steps_left), torch.zeros_like(self.planned)
+
     def foresee(
         self, model: BudsModel, observation: Observation, noise: Tensor | None = None, remembers: bool = True
     ) -> Tensor:

@@ -7,9 +7,11 @@ from .curve import draw_silhouettes
 from .discovery import SkillDiscovery
 from .exemplars import read_library, write_library
 from .library import SkillLibrary
-from .model import REPRESENTATION_DIR, DiscoveredSkills, SkillModel, discover_skills
+from .model import REPRESENTATION_DIR, DiscoveredSkills, SkillModel, discover_skills, given_skills
+from .naming import automatic_names, names_of, read_names, write_names
 from .record import SegmentationRecord, SourceDescription, check_labels, load_labels
 from .settings import PRESETS, DiscoveryConfig, preset
+from .subtasks import write_subtasks
 from .temporal import temporal_segments
 from .timeline import draw_timeline
 from .tree import TaskStructure, build_tree
@@ -26,16 +28,22 @@ __all__ = [
     "SkillModel",
     "SourceDescription",
     "TaskStructure",
+    "automatic_names",
     "build_tree",
     "check_labels",
     "check_target",
     "discover_skills",
     "draw_silhouettes",
     "draw_timeline",
+    "given_skills",
     "load_labels",
+    "names_of",
     "preset",
     "read_library",
+    "read_names",
     "temporal_segments",
     "write_library",
+    "write_names",
     "write_segmented_dataset",
+    "write_subtasks",
 ]

@@ -3,12 +3,14 @@
 torch and LeRobot are imported on use, so that importing this module stays cheap.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from lerobot_buds.core import (
     EXEMPLARS_FILE,
+    NAMES_FILE,
     RECORD_DIR,
     SEGMENTATION_FILE,
     FloatArray,
@@ -19,6 +21,8 @@ from lerobot_buds.core import (
 
 from .exemplars import read_library, write_library
 from .library import SkillLibrary
+from .naming import names_of
+from .partition import spans_of
 from .record import SegmentationRecord
 from .settings import DiscoveryConfig
 
@@ -39,6 +43,7 @@ class SkillModel:
         library: Exemplars of the skills.
         lineage: The segmentations that gave the skills their numbers, see `SegmentationRecord.lineage`.
         fps: Rate of the demonstrations that they were found in (frames per second).
+        names: Names of the skills, as far as these are known.
     """
 
     representation: "Representation"
@@ -46,6 +51,7 @@ class SkillModel:
     library: SkillLibrary
     lineage: tuple[str, ...] = ()
     fps: float | None = None
+    names: tuple[str, ...] = ()
 
     def label(self, dataset: "AnyDataset", grow: bool = False) -> "DiscoveredSkills":
         """Labels a dataset with the skills of the library.
@@ -103,7 +109,8 @@ class SkillModel:
         root = Path(name)
         if not root.is_dir():
             files = [f"{REPRESENTATION_DIR}/{file}" for file in REPRESENTATION_FILES]
-            root = download(str(name), [SEGMENTATION_FILE, EXEMPLARS_FILE, *files], revision, repo_type="dataset")
+            files += [SEGMENTATION_FILE, EXEMPLARS_FILE, NAMES_FILE]
+            root = download(str(name), files, revision, repo_type="dataset")
         record = SegmentationRecord.read(root)
         try:
             config = DiscoveryConfig(**record.parameters)
@@ -113,7 +120,8 @@ class SkillModel:
                 "dataset that it was made from into another --output_root."
             ) from error
         representation = Representation.load(root / REPRESENTATION_DIR)
-        return cls(representation, config, read_library(root), record.lineage, record.source.fps)
+        names = names_of(root, record.n_skills) or ()
+        return cls(representation, config, read_library(root), record.lineage, record.source.fps, names)
 
 
 @dataclass(frozen=True)
@@ -126,7 +134,7 @@ class DiscoveredSkills:
         model: Labels further datasets with these skills.
         scores: Where the number of skills was chosen, how well each number of clusters parts the segments; else empty.
         stability: How much of the labels holds when the demonstrations differ slightly, see `stability.stability`; None
-            where a library labelled them.
+            where a library labelled them, or the labels were there before.
     """
 
     labels: list[IntArray]
@@ -163,20 +171,61 @@ def discover_skills(
         ConfigError: A setting cannot work.
         CheckpointError: The representation does not fit the dataset.
     """
-    from lerobot_buds.data import LocalDataset
-    from lerobot_buds.representation import Representation, RepresentationConfig, train_representation
-
-    local, config = LocalDataset.of(dataset), config or DiscoveryConfig()
-    if not isinstance(representation, Representation):
-        folder = (work_dir or Path("outputs/segment") / local.root.name) / "representation"
-        representation = train_representation(local, representation or RepresentationConfig(), folder)
-    latents, fps = _encoded(local, representation)
+    representation, config = _trained(dataset, representation, work_dir), config or DiscoveryConfig()
+    latents, fps = _encoded(dataset, representation)
     found = config.build(fps).fit(latents)
     library = SkillLibrary.of(
         latents, found.temporal_segments_, found.labels_, found.n_skills_, num_keyframes=config.num_keyframes
     )
     model = SkillModel(representation, config.settled(found, fps), library, fps=fps)
     return DiscoveredSkills(found.labels_, latents, model, found.scores_, found.check_stability(latents))
+
+
+def given_skills(
+    dataset: "AnyDataset",
+    labels: Sequence[IntArray],
+    n_skills: int,
+    representation: "Representation | RepresentationConfig | None" = None,
+    config: DiscoveryConfig | None = None,
+    work_dir: Path | None = None,
+) -> DiscoveredSkills:
+    """Makes skills of labels that were there before; the representation is needed to label others, and for subgoals.
+
+    Args:
+        dataset: As for `discover_skills`, as are the last three and the errors.
+        labels: ``(T,)`` int64 label of every frame, per demonstration, in ``[0, n_skills)``.
+        n_skills: Number of skills K.
+        representation: A trained representation, or settings of the one to train.
+        config: Settings by which further demonstrations are cut.
+        work_dir: Keeps the representation that is trained.
+
+    Raises:
+        SegmentationError: The labels are not of these demonstrations.
+    """
+    representation, config = _trained(dataset, representation, work_dir), config or DiscoveryConfig()
+    latents, fps = _encoded(dataset, representation)
+    if [len(episode) for episode in labels] != [len(episode) for episode in latents]:
+        raise SegmentationError("The labels have other lengths than the demonstrations: read them from this dataset.")
+    bounds = [spans_of(episode) for episode in labels]
+    library = SkillLibrary.of(latents, bounds, labels, n_skills, num_keyframes=config.num_keyframes)
+    cutter = config.build(fps)
+    cutter.cut(latents)  # settles the durations by which further demonstrations will be cut
+    return DiscoveredSkills(
+        list(labels), latents, SkillModel(representation, config.settled(cutter, fps), library, fps=fps)
+    )
+
+
+def _trained(
+    dataset: "AnyDataset", representation: "Representation | RepresentationConfig | None", work_dir: Path | None
+) -> "Representation":
+    from lerobot_buds.data import LocalDataset
+    from lerobot_buds.representation import Representation, RepresentationConfig, train_representation
+
+    if isinstance(representation, Representation):
+        return representation
+    local = LocalDataset.of(dataset)
+    folder = (work_dir or Path("outputs/segment") / local.root.name) / "representation"
+    return train_representation(local, representation or RepresentationConfig(), folder)
 
 
 def _encoded(dataset: "AnyDataset", representation: "Representation") -> tuple[list[FloatArray], float]:

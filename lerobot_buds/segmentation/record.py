@@ -98,6 +98,7 @@ class SegmentationRecord:
         seeds: Seed of every random stage.
         representation: Description of the latents, with a hash of the weights or settings that made them.
         agreement: Scores against true stages, where these are known.
+        labels_from: Where the labels come from that were there before, see `given_labels`; None for discovered ones.
         library: The segmented dataset whose skills were taken over, where there is one, whether others were added,
             and its `lineage`.
         silhouettes: Where the number of skills was chosen, how well each number parts the segments.
@@ -114,6 +115,7 @@ class SegmentationRecord:
     seeds: dict[str, int] = field(default_factory=dict)
     representation: dict[str, Any] = field(default_factory=dict)
     agreement: dict[str, float] | None = None
+    labels_from: str | None = None
     library: dict[str, Any] | None = None
     silhouettes: dict[str, float] | None = None
     stability: float | None = None

@@ -6,7 +6,7 @@ LeRobot is imported on use, so that importing this module stays cheap.
 
 import logging
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lerobot_buds.core import (
     COLLECTION_FILE,
+    NAMES_FILE,
     RECORD_DIR,
     SEGMENTATION_FILE,
     SKILL_ID,
@@ -31,6 +32,7 @@ from lerobot_buds.core import (
 )
 
 from .model import SkillModel
+from .naming import automatic_names, write_names
 from .record import SegmentationRecord, load_labels, relabelling
 
 if TYPE_CHECKING:
@@ -69,6 +71,7 @@ def write_segmented_dataset(
     target_repo_id: str,
     record: SegmentationRecord,
     model: SkillModel | None = None,
+    names: Sequence[str] | None = None,
 ) -> None:
     """Writes the labels of a record, with a copy of everything else of the chosen episodes, as a new dataset.
 
@@ -81,6 +84,7 @@ def write_segmented_dataset(
         target_repo_id: Name of the new dataset.
         record: The segmentation, made from this source; its labels become the columns.
         model: What labelled it, to label others with; left out where None.
+        names: One name per skill; automatic ones where None.
 
     Raises:
         SegmentationError: The record does not fit the source, the source is labelled already, the target exists or lies
@@ -97,6 +101,8 @@ def write_segmented_dataset(
             _write_columns(root, staging, target_repo_id, record)
             _copy_records(local, staging)
             record.write(staging)
+            known = () if model is None else model.names
+            write_names(staging / NAMES_FILE, automatic_names(record, local, known) if names is None else names)
             if model is not None:
                 model.save(staging)
             load_labels(staging)
@@ -229,7 +235,7 @@ def _drop_cache(dataset: "LeRobotDataset") -> None:
 
 def _copy_records(source: "LocalDataset", staging: Path) -> None:
     if (source.root / RECORD_DIR).is_dir():
-        stale = shutil.ignore_patterns(Path(SEGMENTATION_FILE).name)
+        stale = shutil.ignore_patterns(Path(SEGMENTATION_FILE).name, Path(NAMES_FILE).name)
         shutil.copytree(source.root / RECORD_DIR, staging / RECORD_DIR, ignore=stale)
     if source.chosen is not None and (staging / COLLECTION_FILE).exists():
         # What it says episode by episode is of the whole; which of them these are must be said beside it.

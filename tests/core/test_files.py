@@ -11,6 +11,7 @@ from lerobot_buds.core import (
     read_json,
     refuse_newer,
     remove_leftovers,
+    replaced_together,
     sha256_of_file,
     staged_directory,
     write_atomically,
@@ -102,3 +103,21 @@ def test_near_names_puts_the_nearest_first() -> None:
     message = near_names("kichen", ["hammer", "kitchen"])
     assert message == "Did you mean 'kitchen'? Known: 'kitchen', 'hammer'."
     assert near_names("x", []) == "Known: none."
+
+
+def test_files_replaced_together_are_all_new_or_all_old(tmp_path: Path) -> None:
+    old, new = tmp_path / "old.txt", tmp_path / "folder" / "new.txt"
+    old.write_text("before")
+    with pytest.raises(ValueError), replaced_together() as part_of:
+        part_of(old).write_text("after")
+        part_of(new).write_text("after")
+        raise ValueError
+    with pytest.raises(StorageError, match=r"old.txt, .*new.txt could not be written"), replaced_together() as part_of:
+        part_of(old).write_text("after")
+        part_of(new)  # never written
+    assert old.read_text() == "before" and [p.name for p in tmp_path.rglob("*.*")] == ["old.txt"]
+    with replaced_together() as part_of:
+        part_of(old).write_text("after")
+        part_of(new).write_text("after")
+        assert old.read_text() == "before"
+    assert old.read_text() == new.read_text() == "after" and len(list(tmp_path.rglob("*.*"))) == 2
