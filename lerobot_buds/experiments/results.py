@@ -201,6 +201,14 @@ class Paired:
     second_alone: int
     episodes: int
 
+    def __add__(self, other: "Paired") -> "Paired":
+        """Counts both comparisons together."""
+        return Paired(
+            self.first_alone + other.first_alone,
+            self.second_alone + other.second_alone,
+            self.episodes + other.episodes,
+        )
+
     @property
     def p_value(self) -> float:
         """Chance of a difference as large if both were equally good: McNemar's exact test, two-sided."""

@@ -2,10 +2,11 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from .experiment import Cell, Experiment, Size
-from .results import Pooled, paired
+from .results import Paired, Pooled, paired
 
 type Results = Mapping[tuple[str, str, str], Pooled]
 """Name of the size, row and method -> all trainings of that cell."""
@@ -66,28 +67,40 @@ def _orders(experiment: Experiment, size: Size, results: Results) -> list[str]:
         if len(published) < 2 or len(means) < len(published):
             continue
         theirs, ours = (sorted(figures, key=lambda m, f=figures: -f[m]) for figures in (published, means))  # type: ignore[misc]
-        same = "as in the paper" if theirs == ours else "not as in the paper"
-        figures = ", ".join(f"{method} ({means[method]:.0f})" for method in ours)
-        lines.append(f"- {row}, from best to worst: {figures}; {same} ({', '.join(theirs)}).")
+        found = ", ".join(f"{method} ({means[method]:.0f})" for method in ours)
+        lines.append(f"- {row}, from best to worst: {found}; {_likeness(theirs, means)} ({', '.join(theirs)}).")
     return [*lines, ""] if lines else []
 
 
+def _likeness(theirs: Sequence[str], means: Mapping[str, float]) -> str:
+    """Says whether methods that the paper ranks so have falling means."""
+    falls = [means[better] - means[worse] for better, worse in pairwise(theirs)]
+    if min(falls) < 0:
+        return "not as in the paper"
+    return "as in the paper" if min(falls) > 0 else "as in the paper but for ties"
+
+
 def _pairs(experiment: Experiment, size: Size, results: Results) -> list[str]:
-    """Compares the table's reference with the others on the same episodes."""
-    lines = []
-    reference = experiment.reference
-    for cell in experiment.cells:
-        mine, other = (results.get((size.name, cell.row, method)) for method in (reference, cell.method))
-        if mine is None or other is None or cell.method == reference:
-            continue
-        pair = paired(mine, other)
-        columns = [cell.row, f"{reference} and {cell.method}", pair.episodes, pair.first_alone, pair.second_alone]
-        if pair.episodes:
-            lines.append(f"| {' | '.join(map(str, columns))} | {pair.p_value:.2g} |")
+    """Compares the table's reference with the others on the same episodes, row by row and over all rows."""
+    lines, reference = [], experiment.reference
+    for method in experiment.methods:
+        found: list[Paired] = []
+        for row in experiment.rows:
+            mine, other = (results.get((size.name, row, m)) for m in (reference, method))
+            if method != reference and mine is not None and other is not None:
+                found.append(paired(mine, other))
+                lines += _pair(row, f"{reference} and {method}", found[-1])
+        if len(found) > 1:
+            lines += _pair("all rows", f"{reference} and {method}", sum(found[1:], start=found[0]))
     if not lines:
         return []
     head = "| row | on the same episodes | episodes | first alone | second alone | McNemar's p |"
     return [head, "|---" * 6 + "|", *lines, ""]
+
+
+def _pair(row: str, methods: str, pair: Paired) -> list[str]:
+    columns = [row, methods, pair.episodes, pair.first_alone, pair.second_alone, f"{pair.p_value:.2g}"]
+    return [f"| {' | '.join(map(str, columns))} |"] if pair.episodes else []
 
 
 def _failures(experiment: Experiment, found: Sequence[tuple[Cell, Pooled]]) -> list[str]:

@@ -8,8 +8,9 @@ import pytest
 from scipy.stats import binom
 
 from lerobot_buds.core import DatasetError, read_json, write_json
-from lerobot_buds.experiments import CellResult, Pooled, Trial, paired
+from lerobot_buds.experiments import CellResult, Paired, Pooled, Trial, paired
 from lerobot_buds.experiments.report import load_results, read_configs, readme_with_results, report, write_report
+from lerobot_buds.experiments.tables import _likeness
 
 ROOT = Path(__file__).parents[2]
 CONFIGS, RESULTS = ROOT / "configs/experiments", ROOT / "docs/results"
@@ -77,6 +78,22 @@ def test_pairs_are_of_the_same_training_seed_task_and_episode() -> None:
 def test_mcnemar(alone: tuple[int, int], p: float) -> None:
     both = Pooled((result("+" * alone[0] + "-" * alone[1]),)), Pooled((result("-" * alone[0] + "+" * alone[1]),))
     assert paired(*both).p_value == pytest.approx(p, rel=1e-2)
+
+
+def test_rows_are_counted_together() -> None:
+    assert Paired(1, 2, 10) + Paired(3, 0, 20) == Paired(4, 2, 30)
+
+
+@pytest.mark.parametrize(
+    ("means", "likeness"),
+    [
+        ({"a": 3, "b": 2, "c": 1}, "as in the paper"),
+        ({"a": 3, "b": 3, "c": 1}, "as in the paper but for ties"),
+        ({"a": 3, "b": 1, "c": 2}, "not as in the paper"),
+    ],
+)
+def test_likeness_of_orders(means: dict, likeness: str) -> None:
+    assert _likeness(["a", "b", "c"], means) == likeness
 
 
 @pytest.fixture
