@@ -18,7 +18,14 @@ from lerobot_buds.core import (
     remove_leftovers,
     write_json,
 )
-from lerobot_buds.data import LocalDataset, check_demonstrations, dimension_names, only_writer, read_table
+from lerobot_buds.data import (
+    LocalDataset,
+    check_demonstrations,
+    dimension_names,
+    only_writer,
+    read_table,
+    true_stages,
+)
 from lerobot_buds.evaluation import (
     METHODS,
     Demonstrations,
@@ -31,7 +38,7 @@ from lerobot_buds.evaluation import (
 from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
 from lerobot_buds.segmentation import DiscoveryConfig
 
-from .datasets import DatasetOptions, true_stages
+from .datasets import DatasetOptions
 from .running import parse, run
 
 logger = logging.getLogger(__name__)

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from lerobot_buds.core import ACTION, STATE, TRUE_STAGE, ConfigError, IntArray, frames_of_seconds, remove_leftovers
-from lerobot_buds.data import LocalDataset, check_demonstrations, only_writer
+from lerobot_buds.data import LocalDataset, check_demonstrations, only_writer, true_stages
 from lerobot_buds.evaluation import agreement
 from lerobot_buds.representation import (
     Representation,
@@ -29,7 +29,7 @@ from lerobot_buds.segmentation import (
     write_segmented_dataset,
 )
 
-from .datasets import DatasetOptions, true_stages
+from .datasets import DatasetOptions
 from .running import dataset_root, parse, run
 
 logger = logging.getLogger(__name__)

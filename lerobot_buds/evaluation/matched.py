@@ -85,9 +85,11 @@ def matched_scores(predicted: Sequence[IntArray], true: Sequence[IntArray]) -> M
         stage: counts[skills == skill].sum() + counts[:, stages == stage].sum() - right[stage]
         for skill, stage in stage_of.items()
     }
-    f1 = [100 * _segment_f1(pairs, overlap) for overlap in OVERLAPS]
+    f1_10, f1_25, f1_50 = (100 * _segment_f1(pairs, overlap) for overlap in OVERLAPS)
     return MatchedScores(
-        *f1,
+        f1_10,
+        f1_25,
+        f1_50,
         edit=100 * float(np.mean([_order(mine, theirs) for mine, theirs in pairs if theirs])),
         mof=100 * sum(right.values()) / int(counts.sum()),
         miou=100 * float(sum(right[stage] / union[stage] for stage in right)) / len(stages),
