@@ -61,7 +61,8 @@ install_browser() {
   done
   if [[ $(id -u) == 0 ]] && command -v apt-get >/dev/null; then
     say "installing chromium"
-    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium >/dev/null && return
+    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+      chromium; } >/dev/null && return
   fi
   say "no Chromium found, which some tests need: sudo apt-get install chromium"
 }

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 BUDGET = 6000
-"""Pictures in all strips together: 10 to 15 MB of page at `HEIGHT`."""
+"""Pictures in all strips together."""
 
 MOST, LEAST = 16, 4
 """Pictures in one strip."""
@@ -21,8 +21,11 @@ MOST, LEAST = 16, 4
 HEIGHT = 80
 """Height of a picture in a strip (pixels); smaller frames stay as they are."""
 
-QUALITY = 60
-"""Of WebP, out of 100."""
+QUALITIES = (60, 40, 20, 5)
+"""Of WebP, out of 100: the first that keeps a picture within `BYTES`; 60 for all but noise."""
+
+BYTES = 2600
+"""Most bytes of a picture in a strip: with `BUDGET` of them, a page of 21 MB (base64 takes a third more)."""
 
 
 class Pictures:
@@ -66,11 +69,11 @@ class Pictures:
         strip = Image.new("RGB", (width * self.count, height))
         for place, frame in enumerate(middles(length, self.count).tolist()):
             strip.paste(self._picture(camera, start + frame), (width * place, 0))
-        return _data_uri(strip)
+        return data_uri(strip, BYTES * self.count)
 
     def frame(self, camera: str, index: int) -> str:
         """Makes a picture of one frame, by its absolute index."""
-        return _data_uri(self._picture(camera, index))
+        return data_uri(self._picture(camera, index), BYTES)
 
     def _picture(self, camera: str, index: int) -> "Image":
         from PIL import Image
@@ -86,7 +89,11 @@ def middles(length: int, count: int) -> IntArray:
     return frames
 
 
-def _data_uri(image: "Image") -> str:
-    buffer = BytesIO()
-    image.save(buffer, "WEBP", quality=QUALITY, method=4)
+def data_uri(image: "Image", most: int) -> str:
+    """Makes an image part of a page, by a lower quality where it would take more than so many bytes."""
+    for quality in QUALITIES:
+        buffer = BytesIO()
+        image.save(buffer, "WEBP", quality=quality, method=4)
+        if buffer.tell() <= most:
+            break
     return f"data:image/webp;base64,{b64encode(buffer.getvalue()).decode()}"

@@ -39,8 +39,9 @@ class Browser:
         # Copies above the two numbers that Chromium wants, so that none is closed while it is moved.
         high = [os.dup(theirs_in), os.dup(theirs_out)]
         script = f'exec "$@" 3<&{high[0]} 4>&{high[1]}'
-        options = ("--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe", "--no-first-run")
-        more = (f"--user-data-dir={profile}", f"--window-size={width},{height}", "--disable-background-networking")
+        options = ("--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe")
+        quiet = ("--no-first-run", "--disable-background-networking", "--disable-dev-shm-usage")
+        more = (f"--user-data-dir={profile}", f"--window-size={width},{height}", *quiet)
         self._process = subprocess.Popen(
             ["bash", "-c", script, "chromium", str(CHROMIUM), *options, *more, "about:blank"],
             pass_fds=high,

@@ -76,6 +76,14 @@ def test_arrows_go_through_demonstrations_and_time(page, content):
     assert browser.run(TIME) == 8
 
 
+def test_arrows_scroll_where_no_demonstration_is_in_sight(page, content):
+    browser = page(content)
+    browser.resize(1280, 300)
+    browser.run("scrollTo(0, document.documentElement.scrollHeight)")
+    browser.press("ArrowDown")
+    assert browser.run(CURRENT) == "0"
+
+
 def test_tab_goes_through_demonstrations(page, content):
     browser = page(content)
     browser.run("document.querySelector('.row').focus()")

@@ -16,7 +16,7 @@ from lerobot_buds.data import LocalDataset
 from lerobot_buds.report import Content, write_report
 from lerobot_buds.report.cards import cards
 from lerobot_buds.report.demonstrations import demonstrations
-from lerobot_buds.report.pictures import Pictures, middles
+from lerobot_buds.report.pictures import BUDGET, BYTES, HEIGHT, Pictures, data_uri, middles
 from lerobot_buds.report.scores import scores
 from lerobot_buds.report.writing import render, skill_colors
 from lerobot_buds.segmentation import REPRESENTATION_DIR
@@ -118,6 +118,11 @@ def test_strips_show_evenly_spread_frames(recorded):
     frame = Image.open(BytesIO(b64decode(pictures.frame(camera, recorded.starts[1] + 3).split(",")[1])))
     difference = np.asarray(strip.crop((0, 0, 32, 32)), dtype=float) - np.asarray(frame)
     assert middles(50, 8)[0] == 3 and np.abs(difference).mean() < 6
+
+
+def test_noise_is_no_larger_than_the_budget_allows():
+    noise = np.random.default_rng(0).integers(0, 256, (HEIGHT, 8 * 107, 3), dtype=np.uint8)
+    assert len(data_uri(Image.fromarray(noise), 8 * BYTES)) * BUDGET / 8 < 25e6
 
 
 def test_many_episodes_have_fewer_pictures(recorded):

@@ -173,6 +173,9 @@ function highlight(skill) {
 
 function onKey(event) {
   const inControl = event.target.matches("select, input");
+  // Elsewhere on the page, arrows scroll.
+  const { top, bottom } = byId("plot").getBoundingClientRect();
+  const away = bottom < 0 || top > window.innerHeight;
   const step = demos[chosen].frames / data.count;
   const keys = {
     ArrowUp: () => move(-1),
@@ -183,7 +186,7 @@ function onKey(event) {
     ArrowRight: () => showFrame(frame + step),
     Escape: () => highlight(null),
   };
-  if (!keys[event.key] || inControl || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (!keys[event.key] || inControl || away || event.ctrlKey || event.metaKey || event.altKey) return;
   event.preventDefault();
   keys[event.key]();
 }
