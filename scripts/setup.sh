@@ -53,6 +53,20 @@ install_system_packages() {
   say "missing system packages; if rendering or video fails: sudo apt-get install ${missing[*]}"
 }
 
+# The tests look at reports in a browser. By itself, for not every system has this package.
+install_browser() {
+  local name
+  for name in chromium chromium-browser google-chrome; do
+    command -v $name >/dev/null && return 0
+  done
+  if [[ $(id -u) == 0 ]] && command -v apt-get >/dev/null; then
+    say "installing chromium"
+    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+      chromium; } >/dev/null && return
+  fi
+  say "no Chromium found, which some tests need: sudo apt-get install chromium"
+}
+
 runs() { "$@" >/dev/null 2>&1; }
 
 install_python_packages() {
@@ -83,6 +97,7 @@ with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as rende
 
 python=$(find_python)
 install_system_packages "$python"
+install_browser
 install_python_packages "$python"
 check_rendering
 touch $ready

@@ -3,8 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from lerobot_buds.core import TRUE_STAGE, IntArray
-from lerobot_buds.data import AnyDataset, LocalDataset, download_dataset, read_table
+from lerobot_buds.data import LocalDataset, download_dataset
 
 from .running import dataset_root
 
@@ -42,10 +41,3 @@ class DatasetOptions:
             place = download_dataset(self.repo_id, self.revision, self.episodes)
         chosen = None if self.episodes is None else tuple(self.episodes)
         return LocalDataset(place, chosen, self.rename_map, self.video_backend, self.revision)
-
-
-def true_stages(dataset: AnyDataset) -> list[IntArray]:
-    """Reads the true stage of every frame, ``(T,)`` per chosen demonstration."""
-    table = read_table(dataset, [TRUE_STAGE])
-    column = table.columns[TRUE_STAGE]
-    return [column[start:end] for start, end in zip(table.starts, table.ends, strict=True)]

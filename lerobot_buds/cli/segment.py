@@ -15,7 +15,7 @@ from lerobot_buds.core import (
     frames_of_seconds,
     remove_leftovers,
 )
-from lerobot_buds.data import GivenLabels, LocalDataset, check_demonstrations, given_labels, only_writer
+from lerobot_buds.data import GivenLabels, LocalDataset, check_demonstrations, given_labels, only_writer, true_stages
 from lerobot_buds.evaluation import agreement
 from lerobot_buds.representation import (
     Representation,
@@ -39,7 +39,7 @@ from lerobot_buds.segmentation import (
     write_segmented_dataset,
 )
 
-from .datasets import DatasetOptions, true_stages
+from .datasets import DatasetOptions
 from .running import dataset_root, parse, run
 
 logger = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ from .given import SUBTASK_STYLE, GivenLabels, given_labels, read_annotations
 from .hub import download, download_dataset, upload
 from .scaling import as_floats, scale_images
 from .store import EpisodeArray, FrameStore
-from .tables import FrameTable, read_table
+from .tables import FrameTable, read_table, true_stages
 from .writing import make_once, only_writer
 
 __all__ = [
@@ -39,6 +39,7 @@ __all__ = [
     "require_videos",
     "require_whole",
     "scale_images",
+    "true_stages",
     "upload",
     "used_size",
 ]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_buds.core import DatasetError, IntArray
+from lerobot_buds.core import TRUE_STAGE, DatasetError, IntArray
 
 from .dataset import AnyDataset, LocalDataset
 
@@ -99,6 +99,17 @@ def read_table(dataset: AnyDataset, columns: Sequence[str]) -> FrameTable:
         others[table.rows] = False
         present[others] = False
     return table
+
+
+def true_stages(dataset: AnyDataset) -> list[IntArray]:
+    """Reads the true stage of every frame, ``(T,)`` per chosen demonstration.
+
+    Raises:
+        DatasetError: The dataset is damaged, or has no column ``true_stage``.
+    """
+    table = read_table(dataset, [TRUE_STAGE])
+    column = table.columns[TRUE_STAGE]
+    return [column[start:end] for start, end in zip(table.starts, table.ends, strict=True)]
 
 
 def _places(records: Sequence[Mapping[str, Any]]) -> tuple[IntArray, IntArray, IntArray]:

@@ -7,6 +7,7 @@ from .comparison_report import comparison_rows, comparison_table, draw_compariso
 from .episodes import Decider, EpisodeRecorder, run_episodes
 from .guide import META_CONTROLLER, SKILL_SOURCES, STAGES, SUBGOAL_SOURCES, Guide
 from .insight import FAILURE_WINDOW_S, failures_of, summarise, summary_table
+from .matched import MatchedScores, confusion, match_labels, matched_scores
 from .neighbors import NEIGHBORS
 from .paths import warped_distances
 from .ribbon import draw_ribbons
@@ -30,6 +31,7 @@ __all__ = [
     "Episode",
     "EpisodeRecorder",
     "Guide",
+    "MatchedScores",
     "Result",
     "RolloutRecord",
     "StageProgress",
@@ -38,13 +40,16 @@ __all__ = [
     "compare",
     "comparison_rows",
     "comparison_table",
+    "confusion",
     "draw_comparison",
     "draw_ribbons",
     "episode_frames",
     "failures_of",
     "label_distance",
     "load_checkpoint",
+    "match_labels",
     "matched_boundaries",
+    "matched_scores",
     "read_success_rate",
     "run_episodes",
     "success_rate",

@@ -70,12 +70,7 @@ def agreement(
     Raises:
         DatasetError: The numbers of demonstrations or of their frames differ.
     """
-    lengths, true_lengths = [len(p) for p in predicted], [len(t) for t in true]
-    if lengths != true_lengths or not sum(lengths):
-        raise DatasetError(
-            f"Segmentation and true stages do not fit: {len(lengths)} episodes of {sum(lengths)} frames against "
-            f"{len(true_lengths)} of {sum(true_lengths)}, which must be equal, with the same lengths, and not empty."
-        )
+    require_same_frames(predicted, true)
     tolerance = tolerance_s * fps + 1e-9  # 0.15 s at 20 frames per second is 3 frames, not 2.999...
     pairs = [(_boundaries(p), _boundaries(t)) for p, t in zip(predicted, true, strict=True)]
     matched = sum(matched_boundaries(p, t, tolerance) for p, t in pairs)
@@ -96,6 +91,24 @@ def agreement(
     )
 
 
+def require_same_frames(predicted: Sequence[IntArray], true: Sequence[IntArray]) -> None:
+    """Refuses labels and true stages that are not of the same demonstrations.
+
+    Args:
+        predicted: ``(T,)`` labels of every demonstration.
+        true: ``(T,)`` true stages of every demonstration.
+
+    Raises:
+        DatasetError: The numbers of demonstrations or of their frames differ, or there are no frames.
+    """
+    lengths, true_lengths = [len(p) for p in predicted], [len(t) for t in true]
+    if lengths != true_lengths or not sum(lengths):
+        raise DatasetError(
+            f"Segmentation and true stages do not fit: {len(lengths)} episodes of {sum(lengths)} frames against "
+            f"{len(true_lengths)} of {sum(true_lengths)}, which must be equal, with the same lengths, and not empty."
+        )
+
+
 def label_distance(labels: Sequence[IntArray]) -> float:
     """Measures how differently demonstrations are labelled (release, with Levenshtein's distance made right).
 
@@ -111,11 +124,12 @@ def label_distance(labels: Sequence[IntArray]) -> float:
     total, pairs = 0.0, len(labels) * (len(labels) - 1) / 2
     for i, (first, n) in enumerate(words):
         for second, m in words[i + 1 :]:
-            total += n * m * _edits(first, second) / max(len(first), len(second))
+            total += n * m * edit_distance(first, second) / max(len(first), len(second))
     return total / pairs if pairs else 0.0
 
 
-def _edits(first: tuple[int, ...], second: tuple[int, ...]) -> int:
+def edit_distance(first: Sequence[int], second: Sequence[int]) -> int:
+    """Counts the insertions, deletions and exchanges that make one sequence of labels the other (Levenshtein)."""
     row = list(range(len(second) + 1))
     for i, a in enumerate(first, 1):
         above, row[0] = row[0], i

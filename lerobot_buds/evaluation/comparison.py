@@ -21,6 +21,7 @@ from lerobot_buds.segmentation import PRESETS, DiscoveryConfig, baselines, prese
 from lerobot_buds.segmentation.cuts import CUTS, SHORTEST_S, SMOOTHING_S, Cut
 
 from .agreement import Agreement, agreement, label_distance
+from .matched import MatchedScores, matched_scores
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ class Result:
         seed: The seed.
         labels: ``(T,)`` skill of every frame, per demonstration.
         scores: Agreement with the true stages.
+        matched: The same as papers print it, of matched labels.
         label_distance: How differently demonstrations are labelled, see `label_distance`.
         seconds: From latents to labels (wall time).
         fps: Frames per second.
@@ -62,6 +64,7 @@ class Result:
     seed: int
     labels: list[IntArray]
     scores: Agreement
+    matched: MatchedScores
     label_distance: float
     seconds: float
     fps: float
@@ -139,9 +142,8 @@ def _run(name: str, data: Demonstrations, config: DiscoveryConfig, seed: int) ->
     latents = data.fused if name in _FUSED_ALONE else data.latents
     labels = discovery.set_params(random_state=seed).fit(latents, segments=segments).labels_
     seconds = time.perf_counter() - began
-    return Result(
-        name, seed, labels, agreement(labels, data.stages, data.fps), label_distance(labels), seconds, data.fps
-    )
+    scores, matched = agreement(labels, data.stages, data.fps), matched_scores(labels, data.stages)
+    return Result(name, seed, labels, scores, matched, label_distance(labels), seconds, data.fps)
 
 
 def seed_stability(results: Sequence[Result]) -> float:

@@ -11,7 +11,9 @@ from lerobot_buds.segmentation.timeline import draw_rows
 
 from .comparison import Result, seed_stability
 
-_COLUMNS: tuple[tuple[str, Callable[[Result], float]], ...] = (
+Columns = tuple[tuple[str, Callable[[Result], float]], ...]
+
+_COLUMNS: Columns = (
     ("boundary F1", lambda r: r.scores.boundary_f1),
     ("precision", lambda r: r.scores.boundary_precision),
     ("recall", lambda r: r.scores.boundary_recall),
@@ -22,6 +24,14 @@ _COLUMNS: tuple[tuple[str, Callable[[Result], float]], ...] = (
     ("skills", lambda r: r.n_skills),
     ("segments", lambda r: r.segments),
     ("seconds", lambda r: r.seconds),
+)
+_PERCENT: Columns = (
+    ("F1@10", lambda r: r.matched.f1_10),
+    ("F1@25", lambda r: r.matched.f1_25),
+    ("F1@50", lambda r: r.matched.f1_50),
+    ("Edit", lambda r: r.matched.edit),
+    ("MoF", lambda r: r.matched.mof),
+    ("mIoU", lambda r: r.matched.miou),
 )
 
 
@@ -43,7 +53,7 @@ def comparison_rows(results: Sequence[Result]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for method, of_method in by_method(results).items():
         row: dict[str, Any] = {"method": method, "seeds": [r.seed for r in of_method]}
-        for name, value in _COLUMNS:
+        for name, value in (*_COLUMNS, *_PERCENT):
             values = [float(value(r)) for r in of_method]
             row[name] = {"mean": float(np.mean(values)), "low": min(values), "high": max(values)}
         row["seed stability"] = seed_stability(of_method)
@@ -53,19 +63,29 @@ def comparison_rows(results: Sequence[Result]) -> list[dict[str, Any]]:
 
 
 def comparison_table(results: Sequence[Result]) -> str:
-    """Formats the means as a table in Markdown; a range follows where the seeds differ by 0.05 or more."""
-    names = [name for name, _ in _COLUMNS]
-    lines = [
-        f"| method | {' | '.join(names)} | seed stability |",
-        "|---" * (len(names) + 2) + "|",
-    ]
-    for row in comparison_rows(results):
-        cells = []
-        for name in names:
-            score = row[name]
-            spread = f" ({score['low']:.2f} to {score['high']:.2f})" if score["high"] - score["low"] >= 0.05 else ""
-            cells.append(f"{score['mean']:.2f}{spread}")
-        lines.append(f"| {row['method']} | {' | '.join(cells)} | {row['seed stability']:.2f} |")
+    """Formats the means as two tables in Markdown, the second of what papers print of matched labels, in percent.
+
+    A range follows where the seeds differ by 0.05 or more, or 5 %.
+    """
+    rows = comparison_rows(results)
+    first = _table(rows, [name for name, _ in _COLUMNS], digits=2, notable=0.05, last=("seed stability",))
+    return f"{first}\n{_table(rows, [name for name, _ in _PERCENT], digits=1, notable=5.0)}"
+
+
+def _table(
+    rows: Sequence[dict[str, Any]], names: Sequence[str], digits: int, notable: float, last: Sequence[str] = ()
+) -> str:
+    """One line a method; columns in `last` have no range."""
+
+    def cell(score: dict[str, float]) -> str:
+        low, high = (f"{score[end]:.{digits}f}" for end in ("low", "high"))
+        spread = f" ({low} to {high})" if score["high"] - score["low"] >= notable else ""
+        return f"{score['mean']:.{digits}f}{spread}"
+
+    lines = [f"| method | {' | '.join([*names, *last])} |", "|---" * (1 + len(names) + len(last)) + "|"]
+    for row in rows:
+        cells = [cell(row[name]) for name in names] + [f"{row[name]:.{digits}f}" for name in last]
+        lines.append(f"| {row['method']} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -18,7 +18,7 @@ from .partition import dissolve_short_skills, distinct_segments, partition_segme
 from .selection import choose_n_skills
 from .stability import stability
 from .temporal import SEARCHES, Search, temporal_segments
-from .tree import FEATURES, Feature, build_tree, median_distance, window_bounds
+from .tree import FEATURES, Feature, TaskStructure, build_tree, median_distance, window_bounds
 
 logger = logging.getLogger(__name__)
 
@@ -186,6 +186,23 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
         episodes = checked_latents(latents)
         return self._cut(episodes, [LineFits(episode) for episode in episodes])
 
+    def trees(self, latents: Sequence[FloatArray]) -> dict[int, TaskStructure]:
+        """Builds the hierarchical task structures that `cut` cuts, to be looked at.
+
+        Args:
+            latents: ``(T, D)`` latents of every demonstration.
+
+        Returns:
+            Place of each demonstration that has frames -> its tree.
+
+        Raises:
+            ConfigError: A parameter has a value that cannot work.
+            SegmentationError: A latent is not finite.
+        """
+        self._check_parameters()
+        episodes = checked_latents(latents)
+        return self._trees(episodes, [LineFits(episode) for episode in episodes])[0]
+
     def check_stability(self, latents: Sequence[FloatArray], runs: int = 2) -> float:
         """Measures how much of the result holds when the demonstrations differ slightly; sets ``stability_``.
 
@@ -217,17 +234,10 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             found = tiling(episodes, self.cutter(episodes))
             self.durations_ = self._durations(episodes, [len(bounds) for bounds in found])
             return found
-        window = self.window or window_of([len(episode) for episode in episodes])
-        full = [number for number, episode in enumerate(episodes) if len(episode)]
-        counts, worth = list[int](), 0.0
+        trees, added = self._trees(episodes, lines)
+        full, counts, worth = list(trees), list[int](), 0.0
         if self.feature == "line":
-            made = {i: line_tree(lines[i], len(episodes[i]), window) for i in full}
-            trees = {i: tree for i, (tree, _) in made.items()}
-            added = [costs for _, costs in made.values()]
-            counts, worth = count_segments([lines[i] for i in made], added, self.segment_worth)
-        else:
-            unit = median_distance(episodes, window, self.feature) if self.relative_penalty else 1.0
-            trees = {i: build_tree(episodes[i], window, self.length_penalty * unit, self.feature) for i in full}
+            counts, worth = count_segments([lines[i] for i in full], added, self.segment_worth)
         self.durations_ = replace(self._durations(episodes, counts), segment_worth=worth)
         wanted, shortest = self.durations_.segments_per_episode, self.durations_.min_segment_length
         free = bool(counts) and self.segments_per_episode is None
@@ -236,9 +246,21 @@ class SkillDiscovery(BaseEstimator):  # type: ignore[misc]
             count = counts[number] if free else wanted
             found[i] = temporal_segments(tree, count, shortest, self.search)
             if self.feature == "line":
-                found[i] = settle_boundaries(lines[i], found[i], window)
+                found[i] = settle_boundaries(lines[i], found[i], self.durations_.window)
         self._warn_of_few([len(found[i]) for i in full], wanted)
         return found
+
+    def _trees(
+        self, episodes: list[FloatArray], lines: list[LineFits]
+    ) -> tuple[dict[int, TaskStructure], list[FloatArray]]:
+        """Builds the tree of every demonstration that has frames; by ``line``, tells what each merge added to it."""
+        window = self.window or window_of([len(episode) for episode in episodes])
+        full = [number for number, episode in enumerate(episodes) if len(episode)]
+        if self.feature == "line":
+            made = {i: line_tree(lines[i], len(episodes[i]), window) for i in full}
+            return {i: tree for i, (tree, _) in made.items()}, [costs for _, costs in made.values()]
+        unit = median_distance(episodes, window, self.feature) if self.relative_penalty else 1.0
+        return {i: build_tree(episodes[i], window, self.length_penalty * unit, self.feature) for i in full}, []
 
     def _partition(self, episodes: list[FloatArray], lines: list[LineFits], settle: bool) -> list[IntArray]:
         """Clusters the temporal segments in passes; each starts from the runs of equal skills of the last."""

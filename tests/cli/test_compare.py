@@ -32,7 +32,7 @@ def test_all_methods_are_compared_on_every_seed(demonstrations, tmp_path, monkey
     (oracle,) = [row for row in rows if row["method"] == "true stages"]
     assert oracle["boundary F1"]["low"] == 1
     assert imread(tmp_path / "comparison.png").std() > 0.1
-    assert capsys.readouterr().out.count("\n|") == len(compare.METHODS) + 1
+    assert capsys.readouterr().out.count("\n| ") == 2 * len(compare.METHODS) + 1
 
 
 @pytest.mark.parametrize(

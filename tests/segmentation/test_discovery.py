@@ -9,7 +9,7 @@ from sklearn.base import clone
 from sklearn.metrics import adjusted_rand_score, normalized_mutual_info_score
 
 from lerobot_buds.core import ConfigError, SegmentationError, labels_of, segments_of
-from lerobot_buds.segmentation import PRESETS, DiscoveryConfig, SkillDiscovery, preset
+from lerobot_buds.segmentation import PRESETS, DiscoveryConfig, SkillDiscovery, preset, temporal_segments
 from lerobot_buds.segmentation.cuts import CUTS
 
 
@@ -249,3 +249,14 @@ def test_best_first_gives_the_count_that_was_asked_for(demonstrations: Callable[
     latents, _ = demonstrations()
     found = SkillDiscovery(segments_per_episode=7, search="best_first").fit(latents)
     assert {len(bounds) for bounds in found.temporal_segments_} == {7}
+
+
+def test_trees_are_those_that_are_cut(demonstrations: Callable[..., tuple]) -> None:
+    latents = [*demonstrations()[0], np.empty((0, 8))]
+    discovery = SkillDiscovery(window=5, segments_per_episode=4, min_segment_length=5, feature="mean")
+    trees = discovery.trees(latents)
+    assert list(trees) == list(range(len(latents) - 1))
+    for place, tree in trees.items():
+        assert (temporal_segments(tree, 4, 5, "best_first") == discovery.cut(latents)[place]).all()
+    by_line = discovery.set_params(feature="line").trees(latents)
+    assert [tree.bounds[tree.root].tolist() for tree in by_line.values()] == [[0, len(x)] for x in latents[:-1]]
