@@ -37,6 +37,7 @@ def cards(content: Content, pictures: Pictures) -> list[dict[str, Any]]:
         found.append(
             {
                 "skill": skill,
+                "name": content.names[skill] if content.names else f"Skill {skill}",
                 "segments": len(places),
                 "demonstrations": len({episode for episode, _ in places}),
                 "share": sum(lengths) / frames,

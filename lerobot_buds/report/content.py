@@ -9,7 +9,7 @@ import numpy as np
 
 from lerobot_buds.core import TRUE_STAGE, CheckpointError, IntArray, SegmentationError
 from lerobot_buds.data import LocalDataset, read_collection, true_stages
-from lerobot_buds.segmentation import SegmentationRecord, SkillModel, TaskStructure, load_labels
+from lerobot_buds.segmentation import SegmentationRecord, SkillModel, TaskStructure, load_labels, names_of
 from lerobot_buds.segmentation.settings import TREE
 
 logger = logging.getLogger(__name__)
@@ -46,6 +46,7 @@ class Content:
         stages: ``(T,)`` true stage of every frame; None where these are not known.
         structures: How each was cut; None where the dataset lacks what made its latents.
         side: Side of the squares in which the frame store holds its frames already (pixels).
+        names: Names of the skills; None where it carries none.
     """
 
     dataset: LocalDataset
@@ -58,6 +59,7 @@ class Content:
     stages: list[IntArray] | None
     structures: list[Structure] | None
     side: int
+    names: tuple[str, ...] | None = None
 
     @classmethod
     def read(cls, dataset: LocalDataset) -> Self:
@@ -87,6 +89,7 @@ class Content:
             true_stages(dataset) if TRUE_STAGE in dataset.features else None,
             structures,
             side,
+            names_of(dataset.root, record.n_skills),
         )
 
     @property

@@ -48,6 +48,8 @@ def test_a_skill_that_does_not_occur_has_an_empty_card(content):
     card = cards(unused, no_pictures(unused))[3]
     assert (card["segments"], card["examples"], card["tasks"], card["before"]) == (0, [], [], [])
     assert "Skill 3" in render(unused, "me/demo")
+    named = replace(unused, names=("reach", "grasp", "<b>lift</b>", "rest"))
+    assert "grasp</h3>" in render(named, "me/demo") and "&lt;b&gt;lift" in render(named, "me/demo")
 
 
 def test_timelines_and_trees_by_hand(content):
