@@ -127,6 +127,7 @@ def test_commands_end_with_the_runner(workplace: Workplace, how: signal.Signals)
     script = (
         "import sys, signal\nfrom pathlib import Path\nfrom lerobot_buds.experiments import *\n"
         "signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs ignore it
         f"w = Workplace(Path({str(workplace.root)!r}), Path({str(workplace.project)!r}))\n"
         f"s = Stage('collect', 'scripts/work.py', {dict(make(workplace, 'slow', seconds=300).options)!r})\n"
         "try:\n    run_stages([s], w, local_launcher(w, 1), 1, None, lambda *_: None)\nfinally:\n    stop_commands()\n"
