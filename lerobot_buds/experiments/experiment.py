@@ -40,6 +40,7 @@ class Recipe:
         policy: Settings of the policy (``--policy.*``) beside those of the size.
         evaluated: Tasks in which it is evaluated, the trials shared out among them.
         trials: Trials of one training in the paper.
+        slowness: How many times as long as usual demonstrations take; the size's limits on episodes grow with it.
         judged: Failures are classified, for which the segmented demonstrations are asked at every decision.
     """
 
@@ -56,6 +57,7 @@ class Recipe:
     policy: dict[str, Any] = field(default_factory=dict)
     evaluated: str = ""
     trials: int = 100
+    slowness: float = 1.0
     judged: bool = False
 
 

@@ -161,7 +161,8 @@ def plan(cell: Cell, size: Size, seed: int, configs: Path) -> Run:
     tasks = [task.name for task in tasks_named(cell.recipe.evaluated)]
     trials = min(cell.recipe.trials, size.most_trials or cell.recipe.trials)
     each = max(1, trials // len(tasks))
-    evaluations = tuple(_evaluate(size, training, task, each, judge) for task in tasks)
+    limits = {task: round(limit * cell.recipe.slowness) for task, limit in size.episode_length.items()}
+    evaluations = tuple(_evaluate(size, training, task, each, limits.get(task), judge) for task in tasks)
     return Run(cell, size, seed, found.stage if found else None, training, evaluations)
 
 
@@ -253,7 +254,9 @@ def _checkpoint(training: Stage, size: Size) -> str:
     return f"{training.path}/{inside}"
 
 
-def _evaluate(size: Size, training: Stage, task: str, trials: int, judge: Demonstrations | None) -> Stage:
+def _evaluate(
+    size: Size, training: Stage, task: str, trials: int, limit: int | None, judge: Demonstrations | None
+) -> Stage:
     options: dict[str, Any] = {
         "policy_path": _checkpoint(training, size),
         "env.type": "robosuite",
@@ -265,8 +268,8 @@ def _evaluate(size: Size, training: Stage, task: str, trials: int, judge: Demons
         "batch_size": 1,
         "video": False,
     }
-    if task in size.episode_length:
-        options["env.episode_length"] = size.episode_length[task]
+    if limit is not None:
+        options["env.episode_length"] = limit
     inputs: tuple[Stage, ...] = (training,)
     if judge is not None:
         options["dataset_root"] = judge.folder
