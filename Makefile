@@ -4,7 +4,7 @@ READY := .venv/.ready
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo reproduce test lint doctor
+.PHONY: help setup demo reproduce test lint docs doctor
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
@@ -29,6 +29,9 @@ lint: $(READY) ## check style, types and import directions
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: $(READY) ## build the site into outputs/site
+	$(BIN)/uv run --python $(BIN)/python --frozen --isolated --only-group docs mkdocs build --strict
 
 doctor: $(READY) ## check the installation
 	$(BIN)/lerobot-buds-doctor

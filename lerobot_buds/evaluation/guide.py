@@ -31,9 +31,16 @@ if TYPE_CHECKING:
     from lerobot_buds.representation import Representation
     from lerobot_buds.segmentation import SegmentationRecord
 
-META_CONTROLLER, DEMONSTRATIONS, STAGES = "meta_controller", "demonstrations", "stages"
+META_CONTROLLER = "meta_controller"
+"""The policy decides for itself."""
+DEMONSTRATIONS = "demonstrations"
+"""The demonstrations nearest to the state decide."""
+STAGES = "stages"
+"""Those decide that are nearest among the ones in the same true stage."""
 SKILL_SOURCES = (META_CONTROLLER, DEMONSTRATIONS, STAGES)
+"""Who may choose the skill."""
 SUBGOAL_SOURCES = (META_CONTROLLER, DEMONSTRATIONS)
+"""Who may choose the subgoal."""
 
 
 @dataclass(frozen=True)
