@@ -2,7 +2,7 @@
 #
 #   docker build --tag lerobot-buds .                                        # CUDA, whose libraries come with PyTorch
 #   docker build --tag lerobot-buds:cpu --build-arg COMPUTE=cpu .
-#   docker run --rm --gpus all --volume "$PWD/outputs:/work/outputs" lerobot-buds lerobot-buds-doctor
+#   docker run --rm --gpus all --volume "$PWD/outputs:/app/outputs" lerobot-buds lerobot-buds-doctor
 FROM python:3.12-slim-bookworm
 
 RUN apt-get update \
@@ -24,7 +24,7 @@ RUN case "$COMPUTE" in cuda) backend= ;; cpu) backend=--torch-backend=cpu ;; *) 
 
 # What a container may use of the GPU: drawing as well as computing.
 ENV MUJOCO_GL=egl NVIDIA_DRIVER_CAPABILITIES=compute,utility,graphics
-COPY configs /work/configs
-COPY examples /work/examples
-WORKDIR /work
+COPY configs /app/configs
+COPY examples /app/examples
+WORKDIR /app
 CMD ["lerobot-buds-doctor"]
