@@ -40,4 +40,4 @@ class DatasetOptions:
         if self.root is None and (self.revision is not None or not (place / "meta" / "info.json").exists()):
             place = download_dataset(self.repo_id, self.revision, self.episodes)
         chosen = None if self.episodes is None else tuple(self.episodes)
-        return LocalDataset(place, chosen, self.rename_map, self.video_backend, self.revision)
+        return LocalDataset(place, chosen, self.rename_map, self.video_backend, self.revision, self.repo_id)

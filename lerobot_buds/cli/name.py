@@ -10,6 +10,7 @@ from lerobot_buds.segmentation import (
     automatic_names,
     names_of,
     read_names,
+    write_card,
     write_names,
     write_subtasks,
 )
@@ -56,6 +57,7 @@ def name_skills(config: NameConfig) -> tuple[Path, bool]:
         write_names(path, names_of(root, record.n_skills) or automatic_names(record, LocalDataset(root)))
         return path, False
     write_subtasks(root, read_names(path, record.n_skills), config.replace)
+    write_card(root, config.repo_id or root.name)
     return path, True
 
 

@@ -15,7 +15,16 @@ from lerobot_buds.core import (
     frames_of_seconds,
     remove_leftovers,
 )
-from lerobot_buds.data import GivenLabels, LocalDataset, check_demonstrations, given_labels, only_writer, true_stages
+from lerobot_buds.data import (
+    GivenLabels,
+    LocalDataset,
+    check_demonstrations,
+    commit_of,
+    content_hashes,
+    given_labels,
+    only_writer,
+    true_stages,
+)
 from lerobot_buds.evaluation import agreement
 from lerobot_buds.representation import (
     Representation,
@@ -36,6 +45,7 @@ from lerobot_buds.segmentation import (
     draw_timeline,
     given_skills,
     preset,
+    share_dataset,
     write_segmented_dataset,
 )
 
@@ -86,6 +96,16 @@ class SegmentConfig(DatasetOptions):
     """Makes skills of labels that are there instead of discovering them: of a column such as ``true_stage``, or of the
     ``subtasks`` that people or lerobot-annotate wrote."""
 
+    push_to_hub: bool = False
+    """Sends the copy to the Hub under its name; with `representation_only`, the representation under `output_repo_id`
+    or else `repo_id` with ``_representation`` behind it. Later and more: lerobot-buds-share."""
+
+    private: bool | None = None
+    """Whether a repository that is new on the Hub is private; the account's own default where None."""
+
+    branch: str | None = None
+    """Where to put it in its repository; the main branch where None."""
+
 
 def segment(config: SegmentConfig) -> SegmentationRecord | None:
     """Runs the whole pass; an interrupted one goes on where it was. What cannot work is refused before the training.
@@ -124,6 +144,8 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
         _draw(record, found, dataset, work_dir, stages)
         names = None if given is None else given.names
         write_segmented_dataset(dataset, output, output_repo_id, record, found.model, names)
+    if config.push_to_hub:
+        logger.info("Sent to %s.", share_dataset(output, output_repo_id, config.private, config.branch))
     logger.info("Pictures are in %s.", work_dir)
     return record
 
@@ -147,6 +169,9 @@ def _represent(config: SegmentConfig, dataset: LocalDataset, work_dir: Path) -> 
     encode_dataset(dataset, representation)
     if representation.draws:
         draw_reconstructions(dataset, representation, work_dir / "reconstructions.png")
+    if config.push_to_hub:
+        name = config.output_repo_id or f"{config.repo_id}_representation"
+        logger.info("Sent to %s.", representation.push_to_hub(name, config.private, config.branch))
     logger.info("The representation is in %s: use it by --representation_path.", work_dir / "representation")
 
 
@@ -217,15 +242,22 @@ def _record(
 ) -> SegmentationRecord:
     model, fps = found.model, dataset.fps
     library = config.library and {"name": config.library, "grown": config.grow, "lineage": list(model.lineage)}
+    if library and model.commit is not None:
+        library["commit"] = model.commit
+    network = model.representation
+    place = {} if network.commit is None else {"repo_id": config.representation_path, "commit": network.commit}
     return SegmentationRecord.of_labels(
         found.labels,
         repo_id=config.repo_id,
         fps=fps,
         horizon=frames_of_seconds(config.subgoal_horizon_s, fps),
         n_skills=found.n_skills,
+        commit=commit_of(dataset.root),
+        chosen=dataset.chosen,
+        content=[digest for digest in content_hashes(dataset) if digest is not None],
         parameters=asdict(model.config),
         seeds={"representation": model.representation.config.seed, "discovery": model.config.seed},
-        representation={"hash": model.representation.hash, **asdict(model.representation.config)},
+        representation={"hash": network.hash, **place, **asdict(network.config)},
         agreement=asdict(agreement(found.labels, stages, fps)) if stages else None,
         labels_from=config.labels_from,
         library=library or None,

@@ -24,6 +24,7 @@ from .files import (
 )
 from .names import (
     ACTION,
+    CARD_FILE,
     COLLECTION_FILE,
     CONTACT_SHEET_FILE,
     EXEMPLARS_FILE,
@@ -40,6 +41,7 @@ from .names import (
     STATE,
     SUBGOAL_INDEX,
     SUBTASKS,
+    TIMELINE_FILE,
     TRUE_STAGE,
     WORKSPACE_CAMERA,
     dims_used,
@@ -51,6 +53,7 @@ from .segments import FloatArray, IntArray, Segment, labels_of, lengths_by_label
 
 __all__ = [
     "ACTION",
+    "CARD_FILE",
     "COLLECTION_FILE",
     "CONTACT_SHEET_FILE",
     "DISTRIBUTION",
@@ -68,6 +71,7 @@ __all__ = [
     "STATE",
     "SUBGOAL_INDEX",
     "SUBTASKS",
+    "TIMELINE_FILE",
     "TRUE_STAGE",
     "WORKSPACE_CAMERA",
     "BudsError",

@@ -47,6 +47,10 @@ EXEMPLARS_FILE = f"{RECORD_DIR}/exemplars.safetensors"
 NAMES_FILE = f"{RECORD_DIR}/names.yaml"
 COLLECTION_FILE = f"{RECORD_DIR}/collection.json"
 CONTACT_SHEET_FILE = f"{RECORD_DIR}/contact_sheet.png"
+TIMELINE_FILE = f"{RECORD_DIR}/timeline.png"
+
+CARD_FILE = "README.md"
+"""The card of a repository, as the Hub shows it."""
 
 
 def select_dims(names: Sequence[str], patterns: Sequence[str]) -> list[int]:

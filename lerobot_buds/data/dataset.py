@@ -39,6 +39,7 @@ class LocalDataset:
         renamed: Name of a feature in the files -> name to use for it, as LeRobot's ``rename_map``.
         video_backend: LeRobot's decoder of videos; its default where None.
         revision: Branch, tag or commit that was asked for on the Hub; recorded, not read.
+        repo_id: Its name, where that is known; recorded, not read.
     """
 
     root: Path
@@ -46,6 +47,7 @@ class LocalDataset:
     renamed: Mapping[str, str] = field(default_factory=dict)
     video_backend: str | None = None
     revision: str | None = None
+    repo_id: str | None = None
 
     def __post_init__(self) -> None:
         # Resolved once: a relative `run-10:30` looks like a URL to some libraries.
@@ -68,7 +70,7 @@ class LocalDataset:
         # The metadata's attribute of this name holds records, not a choice.
         chosen = tuple(episodes) if isinstance(episodes, list) else None
         backend = getattr(dataset, "_video_backend", None)  # LeRobot has no public name for it
-        return cls(Path(dataset.root), chosen, {}, backend, dataset.revision)
+        return cls(Path(dataset.root), chosen, {}, backend, dataset.revision, dataset.repo_id)
 
     @cached_property
     def info(self) -> dict[str, Any]:

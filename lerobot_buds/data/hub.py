@@ -1,14 +1,14 @@
 """Brings files to the Hugging Face Hub and from there: known names only, and one sentence for what goes wrong."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import httpx
-from huggingface_hub import HfApi, snapshot_download
+from huggingface_hub import CommitOperationAdd, HfApi, RepoUrl, snapshot_download
 from huggingface_hub.errors import (
     HfHubHTTPError,
     HFValidationError,
@@ -88,15 +88,26 @@ def download_dataset(repo_id: str, revision: str | None = None, episodes: Sequen
             ) from error
 
 
-def upload(folder: Path, names: Sequence[str], repo_id: str, private: bool | None, message: str) -> str:
-    """Puts files into a model repository, which is created where it is missing, in one commit.
+def upload(
+    files: Mapping[str, Path],
+    repo_id: str,
+    message: str,
+    *,
+    private: bool | None = None,
+    branch: str | None = None,
+    repo_type: Literal["model", "dataset"] = "model",
+) -> str:
+    """Puts files into a repository, which is created where it is missing, in one commit.
+
+    What has arrived by then stays there, so that after an interruption the same call sends what is missing.
 
     Args:
-        folder: Holds the files.
-        names: The files; no other file of the folder is sent.
+        files: Path in the repository -> the file; no other is sent.
         repo_id: For example ``"me/representation"``.
-        private: Whether a new repository is private; None for the account's own default.
         message: Message of the commit.
+        private: Whether a new repository is private; None for the account's own default.
+        branch: Where to put them, created where missing; the main branch where None.
+        repo_type: What the repository holds.
 
     Returns:
         Address of the repository.
@@ -105,10 +116,57 @@ def upload(folder: Path, names: Sequence[str], repo_id: str, private: bool | Non
         CheckpointError: The repository may not be written, or cannot be reached.
     """
     api = HfApi()
-    with _in_one_sentence(repo_id):
-        repo = api.create_repo(repo_id, private=private, exist_ok=True)
-        api.upload_folder(repo_id=repo.repo_id, folder_path=folder, allow_patterns=list(names), commit_message=message)
-    return str(repo)
+    additions = [CommitOperationAdd(name, path) for name, path in files.items()]
+
+    def send() -> str:
+        repo = _repository(repo_id, repo_type, private, branch)
+        api.create_commit(repo.repo_id, additions, commit_message=message, revision=branch, repo_type=repo_type)
+        return str(repo)
+
+    with _in_one_sentence(repo_id, branch, sending=True):
+        return _patiently(send)
+
+
+def upload_dataset(
+    root: Path, repo_id: str, private: bool | None = None, branch: str | None = None, **card: Any
+) -> str:
+    """Puts a LeRobotDataset into a repository by LeRobot's own call, with the tag that LeRobot looks for.
+
+    What has arrived by then stays there, so that after an interruption the same call sends what is missing. A branch
+    gets no tag: it is asked for by its name.
+
+    Args:
+        root: Its folder.
+        repo_id: For example ``"me/serve_skills"``.
+        private: Whether a new repository is private; None for the account's own default.
+        branch: Where to put it, created where missing; the main branch where None.
+        **card: What LeRobot's card is to say.
+
+    Returns:
+        Address of the repository.
+
+    Raises:
+        DatasetError: The repository may not be written, or cannot be reached.
+    """
+    from lerobot.datasets import LeRobotDataset
+
+    # LeRobot lets a branch begin at the dataset's revision, by default a tag that a new repository does not have.
+    dataset = LeRobotDataset(repo_id, root=root, revision="main")
+
+    def send() -> str:
+        repo = _repository(repo_id, "dataset", private, None)
+        dataset.push_to_hub(branch=branch, private=private, tag_version=branch is None, **card)
+        return str(repo)
+
+    with _in_one_sentence(repo_id, branch, DatasetError, sending=True):
+        return _patiently(send)
+
+
+def _repository(repo_id: str, repo_type: str, private: bool | None, branch: str | None) -> RepoUrl:
+    repo: RepoUrl = HfApi().create_repo(repo_id, repo_type=repo_type, private=private, exist_ok=True)
+    if branch is not None:
+        HfApi().create_branch(repo.repo_id, branch=branch, repo_type=repo_type, exist_ok=True)
+    return repo
 
 
 def _patiently[T](fetch: Callable[[], T]) -> T:
@@ -116,7 +174,7 @@ def _patiently[T](fetch: Callable[[], T]) -> T:
     for pause in PAUSES_S:
         try:
             return fetch()
-        except (HfHubHTTPError, LocalEntryNotFoundError) as error:
+        except (HfHubHTTPError, LocalEntryNotFoundError, RuntimeError) as error:
             if (_status(error) or 0) < 500:
                 raise
             time.sleep(pause)
@@ -125,18 +183,26 @@ def _patiently[T](fetch: Callable[[], T]) -> T:
 
 @contextmanager
 def _in_one_sentence(
-    repo_id: str, revision: str | None = None, refusal: type[BudsError] = CheckpointError
+    repo_id: str, revision: str | None = None, refusal: type[BudsError] = CheckpointError, sending: bool = False
 ) -> Iterator[None]:
     try:
         yield
     except HFValidationError as error:
-        raise refusal(
-            f"{repo_id!r} is neither a folder on this machine nor the name of a repository, such as 'user/name'."
-        ) from error
+        place = "" if sending else "neither a folder on this machine nor "
+        raise refusal(f"{repo_id!r} is {place or 'not '}the name of a repository, such as 'user/name'.") from error
+    except ValueError as error:
+        if "Invalid filename" not in str(error):
+            raise
+        raise refusal(f"{repo_id!r} was not fetched: it has a file whose name leads out of it ({error}).") from error
     except RevisionNotFoundError as error:
         raise refusal(f"{repo_id!r} has no revision {revision!r} on the Hub.") from error
     except (HfHubHTTPError, LocalEntryNotFoundError, OfflineModeIsEnabled, httpx.TransportError) as error:
-        raise refusal(_sentence(repo_id, _status(error))) from error
+        raise refusal(_sentence(repo_id, _status(error), sending)) from error
+    except RuntimeError as error:
+        # One of several uploads at once.
+        if not isinstance(error.__cause__, HfHubHTTPError | httpx.TransportError):
+            raise
+        raise refusal(_sentence(repo_id, _status(error), sending)) from error
 
 
 def _status(error: BaseException) -> int | None:
@@ -146,12 +212,19 @@ def _status(error: BaseException) -> int | None:
     return answer.response.status_code if isinstance(answer, HfHubHTTPError) else None
 
 
-def _sentence(repo_id: str, status: int | None) -> str:
+def _sentence(repo_id: str, status: int | None, sending: bool) -> str:
+    again = "; what has arrived is not sent twice" if sending else ""
+    if status is None and sending:
+        return (
+            f"{repo_id!r} was not sent, as the Hub cannot be reached: connect, unset HF_HUB_OFFLINE, and run the same "
+            f"again{again}."
+        )
     if status is None:
         return f"{repo_id!r} is not on this machine and the Hub cannot be reached: connect, and unset HF_HUB_OFFLINE."
     if status in (401, 403, 404):
+        place = "neither a folder on this machine nor a repository of the Hub that may be used from here"
         return (
-            f"{repo_id!r} is neither a folder on this machine nor a repository of the Hub that may be used from here "
-            f"(status {status}): check the name, or log in with 'hf auth login'."
+            f"{repo_id!r} is {'no repository that may be written from here' if sending else place} (status {status}): "
+            "check the name, or log in with 'hf auth login'."
         )
-    return f"the Hub answered with status {status} when asked for {repo_id!r}: try again later."
+    return f"the Hub answered with status {status} when asked for {repo_id!r}: try again later{again}."

@@ -58,7 +58,7 @@ def load_checkpoint(name: str, env: "RobosuiteEnvConfig", task: Task, device: st
     from lerobot_buds.policy.fitting import check_environment, task_number  # registers the policy with LeRobot, too
 
     folder = checkpoint_folder(name)
-    config = _read_config(folder, device)
+    config = read_config(folder, device)
     check_environment(config, env.fps, env.render_profile)
     task_number(config, task.description)
     preprocess, postprocess = make_pre_post_processors(
@@ -91,7 +91,7 @@ def load_policy(name: str, root: Path, device: str | None = None) -> "BudsPolicy
 
     folder = checkpoint_folder(name)
     meta = LeRobotDatasetMetadata(root.name, root=root)
-    return BudsPolicy.from_pretrained(folder, config=_read_config(folder, device), dataset_meta=meta)
+    return BudsPolicy.from_pretrained(folder, config=read_config(folder, device), dataset_meta=meta)
 
 
 def checkpoint_folder(name: str) -> Path:
@@ -107,7 +107,16 @@ def checkpoint_folder(name: str) -> Path:
     return folder
 
 
-def _read_config(folder: Path, device: str | None) -> "BudsConfig":
+def read_config(folder: Path, device: str | None) -> "BudsConfig":
+    """Reads the configuration of a checkpoint.
+
+    Args:
+        folder: The checkpoint.
+        device: Where to compute; the checkpoint's own choice where None.
+
+    Raises:
+        CheckpointError: It has settings that this version does not know.
+    """
     from draccus.utils import ParsingError
     from lerobot.configs import PreTrainedConfig
 

@@ -76,8 +76,8 @@ def summarise(record: RolloutRecord) -> dict[str, Any]:
     }
 
 
-def summary_table(record: RolloutRecord) -> str:
-    """Formats what a run comes to, one figure a line."""
+def figures_of(record: RolloutRecord) -> list[tuple[str, str]]:
+    """Says what a run comes to, as pairs of what is counted and how much of it there was."""
     summary = summarise(record)
     rows = [("episodes", _rate_in_words(summary["success"]))]
     rows += [(stage["name"], _stage_in_words(stage)) for stage in summary["stages"]]
@@ -93,6 +93,12 @@ def summary_table(record: RolloutRecord) -> str:
         rows.append(("time to success", f"{summary['seconds_to_success']:.1f} s"))
     if summary["errors"]:
         rows.append(("lost to errors", f"{summary['errors']} more; run again to repeat them"))
+    return rows
+
+
+def summary_table(record: RolloutRecord) -> str:
+    """Formats what a run comes to, one figure a line."""
+    rows = figures_of(record)
     width = max(len(name) for name, _ in rows) + 2
     return "".join(f"{name:<{width}}{value}\n" for name, value in rows)
 

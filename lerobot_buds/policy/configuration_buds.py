@@ -137,6 +137,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     n_skills: int | None = None
     segmentation: str | None = None  # hash of the labels: under another segmentation skill ids mean something else
     representation: str | None = None  # hash of the one that latent subgoals are of
+    parents: dict[str, dict[str, str]] = field(default_factory=dict)  # "dataset" and "skills": repository, commit, hash
     fps: float | None = None
     render_profile: str | None = None  # how a simulator drew the demonstrations; None where that is not recorded
     tasks: list[str] = field(default_factory=list)

@@ -18,7 +18,7 @@ from lerobot_buds.core import (
     near_names,
     same_rate,
 )
-from lerobot_buds.data import read_collection
+from lerobot_buds.data import Origin, read_collection
 from lerobot_buds.segmentation import load_labels
 
 from .actions import ActionRange, choose_coding
@@ -93,6 +93,7 @@ def fit_to_dataset(config: BudsConfig, meta: Any, may_be_renamed: bool = False) 
             config.subgoal_dim = representation.width
     else:
         config.n_skills = _agree("n_skills", config.n_skills, 1, meta.root)
+    config.parents = {**config.parents, "dataset": Origin.of(meta).known}
     fps = float(meta.fps)
     if config.fps is None or not same_rate(config.fps, fps):
         config.fps = _agree("fps", config.fps, fps, meta.root)

@@ -9,8 +9,8 @@ from lerobot.configs import PreTrainedConfig
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from lerobot_buds.core import CheckpointError
-from lerobot_buds.data import download
+from lerobot_buds.core import CheckpointError, sha256_of_file
+from lerobot_buds.data import commit_of, download, shown_name
 
 from .configuration_buds import LIBRARY_FIELDS, BudsConfig
 
@@ -32,11 +32,13 @@ class TrainedSkills:
         name: Where they come from.
         config: Configuration of that policy.
         tensors: Weights and buffers of `PARTS`, by their names in the model.
+        origin: Repository or folder, commit where it was fetched, and hash of the weights' file.
     """
 
     name: str
     config: BudsConfig
     tensors: dict[str, Tensor]
+    origin: dict[str, str]
 
     @classmethod
     def read(cls, name: str) -> "TrainedSkills":
@@ -61,7 +63,10 @@ class TrainedSkills:
         if not isinstance(config, BudsConfig) or not config.has_subgoals:
             kind = "flat policy" if isinstance(config, BudsConfig) else f"policy of type {config.type!r}"
             raise CheckpointError(f"{name} holds a {kind}, without skills to take over.")
-        return cls(name, config, tensors)
+        origin = {"repo_id": shown_name(name), "sha256": sha256_of_file(folder / _WEIGHTS)}
+        if (commit := commit_of(folder)) is not None:
+            origin["commit"] = commit
+        return cls(name, config, tensors, origin)
 
     def adopt(self, config: BudsConfig) -> None:
         """Makes a new configuration's skills those of this one.
@@ -85,6 +90,7 @@ class TrainedSkills:
             setattr(config, kind, dict(mine))
         for name in LIBRARY_FIELDS:
             setattr(config, name, getattr(self.config, name))
+        config.parents = {**config.parents, "skills": self.origin}
         config.__post_init__()
 
     def load_into(self, model: nn.Module) -> None:

@@ -6,8 +6,12 @@ from typing import Any, Self
 
 import torch
 from lerobot.policies import PreTrainedPolicy
+from safetensors import SafetensorError
 from torch import Tensor
 
+from lerobot_buds.core import CheckpointError
+
+from .card import card_text, write_card
 from .configuration_buds import BudsConfig
 from .fitting import check_tasks, complete
 from .inputs import Observation, read_actions, read_inputs
@@ -77,14 +81,32 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
 
         Raises:
             ConfigError: The configuration has tasks for which the weights are not.
+            CheckpointError: The file of weights is none.
         """
         if config is not None:
             check_tasks(config, BudsConfig.from_pretrained(pretrained_name_or_path, **kwargs))
-        policy: Self = super().from_pretrained(pretrained_name_or_path, config=config, from_checkpoint=True, **kwargs)
+        try:
+            read = super().from_pretrained
+            policy: Self = read(pretrained_name_or_path, config=config, from_checkpoint=True, **kwargs)
+        except SafetensorError as error:
+            raise CheckpointError(
+                f"{pretrained_name_or_path} holds no readable weights ({error}): fetch the checkpoint again."
+            ) from error
         policy._warn_of_unreachable_actions()
         if policy.labels is not None and policy.model.meta_controllers is not None:
             policy.model.memory.widen(*map(torch.from_numpy, (policy.labels.shortest, policy.labels.longest)))
         return policy
+
+    def _save_pretrained(self, save_directory: Path, *args: Any, **kwargs: Any) -> None:
+        """Writes configuration and weights as LeRobot does, and a card beside them, for whoever uploads the folder."""
+        super()._save_pretrained(save_directory, *args, **kwargs)
+        write_card(save_directory, card_text(self.config), self.config.license, self.config.tags or ())
+
+    def generate_model_card(self, *args: Any, **kwargs: Any) -> Any:
+        """Puts what this policy is before LeRobot's card; LeRobot's pushes call this method of theirs."""
+        card = super().generate_model_card(*args, **kwargs)
+        card.text = f"\n{card_text(self.config)}\n{card.text.lstrip()}"
+        return card
 
     def _warn_of_unreachable_actions(self) -> None:
         if self._found is not None:

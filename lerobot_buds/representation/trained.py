@@ -1,7 +1,7 @@
 """A trained representation: its files, on this machine and on the Hub."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
 from importlib.metadata import version
@@ -16,6 +16,7 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from lerobot_buds.core import (
+    CARD_FILE,
     DISTRIBUTION,
     CheckpointError,
     read_json,
@@ -24,9 +25,9 @@ from lerobot_buds.core import (
     write_atomically,
     write_json,
 )
-from lerobot_buds.data import download, upload
+from lerobot_buds.data import commit_of, download, upload
 
-from .card import CARD_FILE, write_card
+from .card import write_card
 from .configuration import RepresentationConfig
 from .frozen import FrozenFeatures
 from .inputs import Modalities
@@ -53,6 +54,8 @@ class Representation:
         config: How it was made.
         training_key: Hash of configuration and data that it was trained with.
         losses: One report per checkpoint; those after `kept_report` led to early stopping. Empty with a backbone.
+        trained_on: The dataset that it was trained on, as far as it is known: see `data.Origin`.
+        commit: The commit that it was fetched from; None where it was not fetched.
     """
 
     network: FusionNetwork | FrozenFeatures
@@ -60,6 +63,8 @@ class Representation:
     config: RepresentationConfig
     training_key: str = ""
     losses: list[Report] = field(default_factory=list)
+    trained_on: dict[str, str] = field(default_factory=dict)
+    commit: str | None = None
 
     @classmethod
     def untrained(
@@ -131,6 +136,7 @@ class Representation:
             "config": asdict(self.config),
             "modalities": asdict(self.modalities),
             "training_key": self.training_key,
+            "trained_on": self.trained_on,
             "weights_sha256": sha256(weights).hexdigest(),
             "losses": self.losses,
         }
@@ -161,7 +167,7 @@ class Representation:
             network.load_state_dict(earlier | load(content))
         except (SafetensorError, RuntimeError) as error:
             raise CheckpointError(f"{folder / WEIGHTS_FILE} does not fit its record ({error}); {_RETRAIN}.") from error
-        return cls(network, modalities, config, record["training_key"], record["losses"])
+        return cls(network, modalities, config, record["training_key"], record["losses"], record.get("trained_on", {}))
 
     @classmethod
     def from_pretrained(cls, name: str | Path, revision: str | None = None) -> "Representation":
@@ -176,14 +182,16 @@ class Representation:
         """
         if Path(name).is_dir():
             return cls.load(Path(name))
-        return cls.load(download(str(name), REPRESENTATION_FILES, revision))
+        folder = download(str(name), REPRESENTATION_FILES, revision)
+        return replace(cls.load(folder), commit=commit_of(folder))
 
-    def push_to_hub(self, repo_id: str, private: bool | None = None) -> str:
+    def push_to_hub(self, repo_id: str, private: bool | None = None, branch: str | None = None) -> str:
         """Puts both files and a card into a repository of the Hub, which is created where it is missing.
 
         Args:
             repo_id: For example ``"me/representation"``.
             private: Whether a new repository is private; None for the account's own default.
+            branch: Where to put them, created where missing; the main branch where None.
 
         Returns:
             Address of the repository.
@@ -195,7 +203,8 @@ class Representation:
             folder = Path(place)
             self.save(folder)
             write_card(folder / CARD_FILE, read_json(folder / RECORD_FILE), repo_id)
-            return upload(folder, [*REPRESENTATION_FILES, CARD_FILE], repo_id, private, "Upload a representation")
+            files = {name: folder / name for name in (*REPRESENTATION_FILES, CARD_FILE)}
+            return upload(files, repo_id, "Upload a representation", private=private, branch=branch)
 
     def _weights(self) -> bytes:
         weights: bytes = save({name: t.contiguous() for name, t in self.network.state_dict().items()})

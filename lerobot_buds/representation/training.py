@@ -9,7 +9,7 @@ import torch
 from accelerate import Accelerator, PartialState  # type: ignore[import-untyped]
 
 from lerobot_buds.core import ConfigError, IntArray, sha256_of_json
-from lerobot_buds.data import AnyDataset
+from lerobot_buds.data import AnyDataset, Origin
 
 from .configuration import RepresentationConfig
 from .frozen import FrozenFeatures, pretrained_weights
@@ -69,7 +69,8 @@ def train_representation(
     else:
         losses = []
     _fit(network, inputs, training, config.seed, accelerator.device)
-    representation = Representation(network.to("cpu").eval(), modalities, config, key, losses)
+    parent = Origin.of(dataset).known
+    representation = Representation(network.to("cpu").eval(), modalities, config, key, losses, parent)
     # No process may still look for a finished one when it appears, and none return before it is there.
     accelerator.wait_for_everyone()
     if accelerator.is_main_process:

@@ -3,6 +3,8 @@
 Importing this folder loads neither torch, LeRobot nor matplotlib; the functions that need them do.
 """
 
+from .card import card_kwargs, write_card
+from .companion import COMPANION_FILES, join_companion, write_companion
 from .curve import draw_silhouettes
 from .discovery import SkillDiscovery
 from .exemplars import read_library, write_library
@@ -11,6 +13,7 @@ from .model import REPRESENTATION_DIR, DiscoveredSkills, SkillModel, discover_sk
 from .naming import automatic_names, names_of, read_names, write_names
 from .record import SegmentationRecord, SourceDescription, check_labels, load_labels
 from .settings import PRESETS, DiscoveryConfig, preset
+from .share import share_dataset, share_labels
 from .subtasks import write_subtasks
 from .temporal import temporal_segments
 from .timeline import draw_timeline
@@ -18,6 +21,7 @@ from .tree import TaskStructure, build_tree
 from .write import check_target, write_segmented_dataset
 
 __all__ = [
+    "COMPANION_FILES",
     "PRESETS",
     "REPRESENTATION_DIR",
     "DiscoveredSkills",
@@ -30,18 +34,24 @@ __all__ = [
     "TaskStructure",
     "automatic_names",
     "build_tree",
+    "card_kwargs",
     "check_labels",
     "check_target",
     "discover_skills",
     "draw_silhouettes",
     "draw_timeline",
     "given_skills",
+    "join_companion",
     "load_labels",
     "names_of",
     "preset",
     "read_library",
     "read_names",
+    "share_dataset",
+    "share_labels",
     "temporal_segments",
+    "write_card",
+    "write_companion",
     "write_library",
     "write_names",
     "write_segmented_dataset",

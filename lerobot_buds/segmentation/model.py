@@ -44,6 +44,7 @@ class SkillModel:
         lineage: The segmentations that gave the skills their numbers, see `SegmentationRecord.lineage`.
         fps: Rate of the demonstrations that they were found in (frames per second).
         names: Names of the skills, as far as these are known.
+        commit: The commit that they were fetched from; None where they were not fetched.
     """
 
     representation: "Representation"
@@ -52,6 +53,7 @@ class SkillModel:
     lineage: tuple[str, ...] = ()
     fps: float | None = None
     names: tuple[str, ...] = ()
+    commit: str | None = None
 
     def label(self, dataset: "AnyDataset", grow: bool = False) -> "DiscoveredSkills":
         """Labels a dataset with the skills of the library.
@@ -103,7 +105,7 @@ class SkillModel:
             SegmentationError: The dataset holds no skills to label others with.
             CheckpointError: The repository cannot be had, or the representation in it is damaged.
         """
-        from lerobot_buds.data import download
+        from lerobot_buds.data import commit_of, download
         from lerobot_buds.representation import REPRESENTATION_FILES, Representation
 
         root = Path(name)
@@ -121,7 +123,8 @@ class SkillModel:
             ) from error
         representation = Representation.load(root / REPRESENTATION_DIR)
         names = names_of(root, record.n_skills) or ()
-        return cls(representation, config, read_library(root), record.lineage, record.source.fps, names)
+        library, rate, commit = read_library(root), record.source.fps, commit_of(root)
+        return cls(representation, config, library, record.lineage, rate, names, commit)
 
 
 @dataclass(frozen=True)

@@ -60,11 +60,33 @@ class SourceDescription:
         repo_id: Its name on the Hub, or its local name.
         fps: Frame rate (frames per second).
         episode_lengths: Frames of every episode.
+        commit: The commit that it was fetched from; None where it was not fetched.
+        chosen: Its episodes that were segmented, by number; None for all.
+        content: Hash of every episode's rows, see `data.content_hashes`; empty in records of earlier versions.
     """
 
     repo_id: str
     fps: float
     episode_lengths: tuple[int, ...]
+    commit: str | None = None
+    chosen: tuple[int, ...] | None = None
+    content: tuple[str, ...] = ()
+
+    @classmethod
+    def of_json(cls, content: dict[str, Any]) -> Self:
+        """Reads what the record says of the source.
+
+        Raises:
+            KeyError: Something is missing.
+            TypeError: Something is of another type.
+            ValueError: The hashes are not one an episode.
+        """
+        chosen, hashes = content.get("chosen"), tuple(content.get("content", ()))
+        lengths = tuple(content["episode_lengths"])
+        if hashes and len(hashes) != len(lengths):
+            raise ValueError("the source has another number of hashes than of episodes")
+        numbers = None if chosen is None else tuple(chosen)
+        return cls(content["repo_id"], content["fps"], lengths, content.get("commit"), numbers, hashes)
 
     @property
     def total_frames(self) -> int:
@@ -131,6 +153,9 @@ class SegmentationRecord:
         fps: float,
         horizon: int,
         n_skills: int | None = None,
+        commit: str | None = None,
+        chosen: Sequence[int] | None = None,
+        content: Sequence[str] = (),
         **description: Any,
     ) -> Self:
         """Makes the record of new labels.
@@ -141,10 +166,20 @@ class SegmentationRecord:
             fps: Frame rate (frames per second).
             horizon: Subgoal horizon H (frames), at least 1.
             n_skills: Number of skills K, if some may not occur; as many as the labels have where None.
+            commit: Commit of the source, see `SourceDescription`.
+            chosen: Its episodes that were segmented, by number.
+            content: Hash of every one's rows.
             **description: Any of the attributes from `parameters` to `stability`; plain data.
         """
         return cls(
-            source=SourceDescription(repo_id, fps, tuple(len(episode) for episode in labels)),
+            source=SourceDescription(
+                repo_id,
+                fps,
+                tuple(len(episode) for episode in labels),
+                commit,
+                None if chosen is None else tuple(chosen),
+                tuple(content),
+            ),
             n_skills=n_skills or 1 + max(int(episode.max()) for episode in labels if len(episode)),
             horizon=horizon,
             episodes=tuple(
@@ -227,8 +262,7 @@ class SegmentationRecord:
     def _of_json(cls, content: dict[str, Any]) -> Self:
         # Fields that an older version did not write keep their defaults; what is derived is not read back.
         known = {f.name: content[f.name] for f in fields(cls) if f.name in content}
-        source = content["source"]
-        known["source"] = SourceDescription(source["repo_id"], source["fps"], tuple(source["episode_lengths"]))
+        known["source"] = SourceDescription.of_json(content["source"])
         known["episodes"] = tuple(
             EpisodeLabels(tuple(Segment(*segment) for segment in episode["segments"]), episode["sha256"])
             for episode in content["episodes"]

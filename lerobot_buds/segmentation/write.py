@@ -21,6 +21,7 @@ from lerobot_buds.core import (
     SEGMENTATION_FILE,
     SKILL_ID,
     SUBGOAL_INDEX,
+    TIMELINE_FILE,
     DatasetError,
     IntArray,
     SegmentationError,
@@ -31,6 +32,7 @@ from lerobot_buds.core import (
     write_json,
 )
 
+from .card import SPARE_CARD_FILE, write_card
 from .model import SkillModel
 from .naming import automatic_names, write_names
 from .record import SegmentationRecord, load_labels, relabelling
@@ -105,6 +107,7 @@ def write_segmented_dataset(
             write_names(staging / NAMES_FILE, automatic_names(record, local, known) if names is None else names)
             if model is not None:
                 model.save(staging)
+            write_card(staging, target_repo_id)
             load_labels(staging)
     logger.info("Wrote %s with %d skills.", target_root, record.n_skills)
 
@@ -235,8 +238,9 @@ def _drop_cache(dataset: "LeRobotDataset") -> None:
 
 def _copy_records(source: "LocalDataset", staging: Path) -> None:
     if (source.root / RECORD_DIR).is_dir():
-        stale = shutil.ignore_patterns(Path(SEGMENTATION_FILE).name, Path(NAMES_FILE).name)
-        shutil.copytree(source.root / RECORD_DIR, staging / RECORD_DIR, ignore=stale)
+        stale = (SEGMENTATION_FILE, NAMES_FILE, SPARE_CARD_FILE, TIMELINE_FILE)
+        ignored = shutil.ignore_patterns(*(Path(name).name for name in stale))
+        shutil.copytree(source.root / RECORD_DIR, staging / RECORD_DIR, ignore=ignored)
     if source.chosen is not None and (staging / COLLECTION_FILE).exists():
         # What it says episode by episode is of the whole; which of them these are must be said beside it.
         write_json(

@@ -1,10 +1,12 @@
-"""A Hub in 200 lines of the standard library: what huggingface_hub needs to push and pull models and datasets.
+"""A Hub in 250 lines of the standard library: what huggingface_hub needs to push and pull models and datasets.
 
     python tests/hub/fake_hub.py            # prints its address, serves until its input is closed
 
 Repositories are kept in memory. Those of the user ``status-404`` (or 401, 403, 503) answer with that status; every
 first request for a file of the user ``flaky`` answers 503. ``PUT /put/<models or datasets>/<id>/<path>`` adds a file
-to a repository without a client, under any name.
+to a repository without a client, under any name. Large files are kept once: who sends one again is told that it is
+there, as are files of a commit that have not changed. After ``PUT /limit/<n>`` n more large files are taken, and others
+answered 403; ``GET /received`` counts the bytes of files that were taken.
 """
 
 import hashlib
@@ -42,6 +44,7 @@ class Hub(ThreadingHTTPServer):
     def __init__(self):
         super().__init__(("127.0.0.1", 0), Handler)
         self.repositories, self.blobs, self.asked, self.lock = {}, {}, set(), threading.RLock()
+        self.limit, self.received = None, 0
 
     @property
     def address(self):
@@ -50,6 +53,10 @@ class Hub(ThreadingHTTPServer):
 
 def git_oid(content):
     return hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
+
+
+def oid(path, content):
+    return hashlib.sha256(content).hexdigest() if path.endswith(LARGE) else git_oid(content)
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -68,6 +75,8 @@ class Handler(BaseHTTPRequestHandler):
         with self.server.lock:
             if self.command == "PUT":
                 self.put(parts)
+            elif parts == ["received"]:
+                self.answer(200, self.server.received)
             elif parts[:2] == ["api", "repos"]:
                 self.create()
             elif parts[:2] == ["api", "validate-yaml"]:
@@ -95,7 +104,7 @@ class Handler(BaseHTTPRequestHandler):
         return content
 
     def answer(self, status, content=None, **headers):
-        body = content if isinstance(content, bytes) else json.dumps(content or {}).encode()
+        body = content if isinstance(content, bytes) else json.dumps({} if content is None else content).encode()
         self.send_response(status)
         for name, value in {"Content-Length": len(body), **headers}.items():
             self.send_header(name.replace("_", "-"), str(value))
@@ -129,18 +138,25 @@ class Handler(BaseHTTPRequestHandler):
         return f"{self.server.address}/{'' if kind == 'models' else f'{kind}/'}{name}"
 
     def put(self, parts):
-        if parts[0] == "lfs":
+        if parts[0] == "limit":
+            self.server.limit = int(parts[1])
+        elif parts[0] == "lfs":
+            if self.server.limit == 0:
+                self.answer(403, {"error": "as asked for"})
+                return
+            self.server.limit = self.server.limit and self.server.limit - 1
             self.server.blobs[parts[1]] = self.body
+            self.server.received += len(self.body)
         else:
             repository = self.server.repositories.setdefault((parts[1], "/".join(parts[2:4])), Repository())
             repository.commit(repository.commits[repository.branches["main"]] | {"/".join(parts[4:]): self.body})
         self.answer(200)
 
     def large_files(self):
-        objects = [
-            {**asked, "actions": {"upload": {"href": f"{self.server.address}/lfs/{asked['oid']}"}}}
-            for asked in json.loads(self.body)["objects"]
-        ]
+        objects = json.loads(self.body)["objects"]
+        for asked in objects:
+            if asked["oid"] not in self.server.blobs:
+                asked["actions"] = {"upload": {"href": f"{self.server.address}/lfs/{asked['oid']}"}}
         self.answer(200, {"transfer": "basic", "objects": objects})
 
     def api(self, kind, name, rest):
@@ -150,15 +166,12 @@ class Handler(BaseHTTPRequestHandler):
         action = rest[0] if rest else "revision"
         revision = rest[1] if len(rest) > 1 else "main"
         if action == "preupload":
-            modes = [
-                {
-                    "path": f["path"],
-                    "uploadMode": "lfs" if f["path"].endswith(LARGE) else "regular",
-                    "shouldIgnore": False,
-                }
-                for f in json.loads(self.body)["files"]
-            ]
-            self.answer(200, {"files": modes})
+            paths = [asked["path"] for asked in json.loads(self.body)["files"]]
+            self.answer(200, {"files": [self.mode(repository, revision, path) for path in paths]})
+        elif action == "branch":
+            taken = revision in repository.branches
+            repository.branches.setdefault(revision, repository.branches["main"])
+            self.answer(409 if taken else 200)
         elif action == "commit":
             self.commit(repository, revision, self.page(kind, name))
         elif action == "refs":
@@ -177,6 +190,11 @@ class Handler(BaseHTTPRequestHandler):
             siblings = [{"rfilename": path} for path in repository.commits[sha]]
             self.answer(200, {"id": name, "sha": sha, "siblings": siblings, "tags": [], "private": False})
 
+    def mode(self, repository, revision, path):
+        content = repository.commits[repository.sha(revision)].get(path)
+        mode = {"path": path, "uploadMode": "lfs" if path.endswith(LARGE) else "regular", "shouldIgnore": False}
+        return mode if content is None else {**mode, "oid": oid(path, content)}
+
     def entry(self, path, content):
         entry = {"type": "file", "path": path, "size": len(content), "oid": git_oid(content)}
         if path.endswith(LARGE):
@@ -190,6 +208,7 @@ class Handler(BaseHTTPRequestHandler):
             value = change["value"]
             if change["key"] == "file":
                 files[value["path"]] = b64decode(value["content"])
+                self.server.received += len(files[value["path"]])
             elif change["key"] == "lfsFile":
                 files[value["path"]] = self.server.blobs[value["oid"]]
             elif change["key"] == "deletedFile":
@@ -221,8 +240,7 @@ class Handler(BaseHTTPRequestHandler):
             code = "EntryNotFound" if sha else "RevisionNotFound"
             self.answer(404, {"error": code}, X_Error_Code=code)
             return
-        oid = hashlib.sha256(content).hexdigest() if path.endswith(LARGE) else git_oid(content)
-        self.answer(200, content, ETag=f'"{oid}"', X_Repo_Commit=sha, Accept_Ranges="bytes")
+        self.answer(200, content, ETag=f'"{oid(path, content)}"', X_Repo_Commit=sha, Accept_Ranges="bytes")
 
 
 if __name__ == "__main__":

@@ -58,9 +58,10 @@ def published(hub, tmp_path_factory: pytest.TempPathFactory) -> None:
         images = rng.integers(0, 256, (5, *SHAPE), np.uint8)
         write_episode(dataset, {**{n: v.astype(np.float32) for n, v in frames.items()}, FRONT: images}, "move")
     dataset.finalize()
-    for name in ("me/tagged", "me/untagged", "me/older", "flaky/data"):
+    for name in ("me/tagged", "me/untagged", "me/older", "me/outside", "flaky/data"):
         for path in sorted(path for path in root.rglob("*") if path.is_file()):
             hub.put(f"datasets/{name}/{path.relative_to(root)}", path.read_bytes())
+    hub.put("datasets/me/outside/../../../notes.txt", b"")
     for name, version in (("me/tagged", "v3.0"), ("flaky/data", "v3.0"), ("me/older", "v2.1")):
         done = hub.run(TAG, name, version)
         assert done.returncode == 0, done.stderr[-2000:]
@@ -84,6 +85,7 @@ def test_what_cannot_be_had_is_said_in_one_sentence(hub, tmp_path: Path):
         ("me/tagged", "nowhere"): "'me/tagged' has no revision 'nowhere'",
         ("me/tagged", "v9.0"): "'me/tagged' has no revision of format v9.0",
         ("me/untagged",): "has no tag of a version, by which LeRobot chooses: name a revision, such as --revision=main",
+        ("me/outside", "main"): "'me/outside' was not fetched: it has a file whose name leads out of it",
         ("me/older",): "'me/older' has no revision of format v3.0 on the Hub: convert it",
         ("my data",): "neither a folder on this machine nor the name of a repository",
     }

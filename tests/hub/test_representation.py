@@ -85,6 +85,9 @@ def test_what_cannot_be_had_is_said_in_one_sentence(hub, pushed, tmp_path: Path)
         ("outputs/my representation",): "neither a folder on this machine nor the name of a repository",
     }
     said = answers(hub.run(PREPARE + PULL, json.dumps(list(expected)), HF_HOME=str(tmp_path)))
-    assert pushed["refused"].startswith("'status-403/mine' is neither") and "hf auth login" in pushed["refused"]
+    assert (
+        pushed["refused"].startswith("'status-403/mine' is no repository that may be")
+        and "hf auth login" in pushed["refused"]
+    )
     for sentence, words in zip(said, expected.values(), strict=True):
         assert words in sentence and "\n" not in sentence

@@ -94,7 +94,7 @@ def test_saving_and_loading_keep_weights_and_configuration(build, tmp_path):
     assert policy.state_dict().keys() == state.keys()
     assert all(torch.equal(value, state[key]) for key, value in policy.state_dict().items())
     assert draccus.encode(PreTrainedConfig.from_pretrained(tmp_path)) == draccus.encode(policy.config)
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["config.json", "model.safetensors"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["README.md", "config.json", "model.safetensors"]
 
 
 @pytest.mark.parametrize("key", [ACTION, "observation.state"])

@@ -21,6 +21,9 @@ from lerobot.datasets import (
 )
 from lerobot.scripts import lerobot_edit_dataset
 
+from lerobot_buds.cli import join as join_command
+from lerobot_buds.cli.running import parse
+from lerobot_buds.cli.segment import SegmentConfig
 from lerobot_buds.core import RECORD_DIR, BudsError, SegmentationError
 from lerobot_buds.segmentation import SegmentationRecord, check_target, load_labels, write_segmented_dataset
 
@@ -88,25 +91,50 @@ def test_edits_that_leave_the_frames_in_place(dataset: LeRobotDataset, segmented
         np.testing.assert_array_equal(ours, theirs)
 
 
+EDITS = {
+    "delete_episodes": ("edited", [0, 2], "--operation.episode_indices=[1]"),
+    "split": ("edited_last", [1, 2], '--operation.splits={"first": [0], "last": [1, 2]}'),
+    "merge": ("edited", [0, 1, 2, 0, 1, 2], '--operation.repo_ids=["test/segmented", "test/segmented"]'),
+}
+"""Of lerobot-edit-dataset: folder of the result, source episodes that it holds, option."""
+
+
+def edit(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["lerobot-edit-dataset", *arguments])
+    lerobot_edit_dataset.main()
+
+
+@pytest.mark.parametrize("operation", EDITS)
 def test_the_advice_for_labels_out_of_step_can_be_followed(
-    dataset: LeRobotDataset,
-    segmented: Path,
-    record: SegmentationRecord,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    operation: str, segmented: Path, record: SegmentationRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The commands of the message, word by word: the labels go, and what is left can be segmented."""
-    edited = Path(delete_episodes(dataset, [1], tmp_path / "edited", repo_id="test/edited").root)
+    folder, kept, option = EDITS[operation]
+    place = [f"--root={segmented}", "--repo_id=test/segmented", f"--new_root={tmp_path / 'edited'}"]
+    if operation == "split":
+        place[2] = f"--new_root={tmp_path}"
+        option = option.replace('"first"', '"edited_first"').replace('"last"', '"edited_last"')
+    if operation == "merge":
+        place = [f"--new_root={tmp_path / 'edited'}", f'--operation.roots=["{segmented}", "{segmented}"]']
+    edit(monkeypatch, *place, "--new_repo_id=test/edited", f"--operation.type={operation}", option)
+    edited = tmp_path / folder
     said = [refusal(load_labels, edited), refusal(check_target, edited, tmp_path / "target")]
     said.append(refusal(load_labels, with_record(edited, segmented)))
-    pattern = r"\(lerobot-edit-dataset (.*?)\), then run lerobot-buds-segment --repo_id=(.*)\.$"
+    pattern = r"\(lerobot-edit-dataset (.*?)\), then run lerobot-buds-segment (.*)\.$"
     (advice,) = {match.groups() for match in map(partial(re.search, pattern), said) if match}
-    monkeypatch.setattr(sys, "argv", ["lerobot-edit-dataset", *shlex.split(advice[0])])
     monkeypatch.setattr(lerobot_edit_dataset, "HF_LEROBOT_HOME", tmp_path / "home")
-    lerobot_edit_dataset.main()
-    unlabelled = tmp_path / "home" / advice[1]
+    monkeypatch.setattr("lerobot.utils.constants.HF_LEROBOT_HOME", tmp_path / "home")
+    edit(monkeypatch, *shlex.split(advice[0]))
+    monkeypatch.setattr(sys, "argv", ["lerobot-buds-segment", *shlex.split(advice[1])])
+    unlabelled = parse(SegmentConfig).open()
     check_target(unlabelled, tmp_path / "target")
-    labels = [label for number, label in enumerate(record.labels) if number != 1]
-    anew = SegmentationRecord.of_labels(labels, repo_id=advice[1], fps=10, horizon=4, n_skills=3)
+    labels = [record.labels[number] for number in kept]
+    anew = SegmentationRecord.of_labels(labels, repo_id="local/unlabelled", fps=10, horizon=4, n_skills=3)
     write_segmented_dataset(unlabelled, tmp_path / "target", "test/again", anew)
     np.testing.assert_array_equal(load_labels(tmp_path / "target")[1], np.concatenate(labels))
+    options = ["--source_repo_id=local/unlabelled", "--edited=true", f"--output_root={tmp_path / 'kept'}"]
+    monkeypatch.setattr(sys, "argv", ["lerobot-buds-join", f"--root={segmented}", *options])
+    join_command.main()  # the other way: the skills are kept
+    found, skills, _ = load_labels(tmp_path / "kept")
+    np.testing.assert_array_equal(skills, np.concatenate(labels))
+    assert record.labels_hash in found.lineage

@@ -62,6 +62,9 @@ def test_the_file_says_what_a_reader_wants(record: SegmentationRecord, tmp_path:
         "fps": 10,
         "episode_lengths": [25, 6, 30],
         "total_frames": 61,
+        "commit": None,
+        "chosen": None,
+        "content": [],
     }
     assert content["episodes"][2]["segments"] == [[0, 9, 2], [9, 18, 0], [18, 30, 1]]
     assert (content["horizon"], content["horizon_seconds"]) == (4, 0.4)
