@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from .experiment import Cell, Size
 from .results import CellResult, collect_result, result_path
-from .running import Launch, StageError, Workplace, run_stages
+from .running import DONE_FILE, Launch, StageError, Workplace, run_stages
 from .stages import Run, Stage, plan
 
 
@@ -100,7 +100,7 @@ class Reproduction:
         return {kind: sum(values) / len(values) for kind, values in seconds.items()}
 
     def _newest(self, run: Run) -> float:
-        return max((self.workplace.folder(stage) / "stage.json").stat().st_mtime for stage in run.stages)
+        return max((self.workplace.folder(stage) / DONE_FILE).stat().st_mtime for stage in run.stages)
 
     def _watch(self, bar: "tqdm[Any]") -> Callable[[Stage, bool], None]:
         def on_change(stage: Stage, done: bool) -> None:

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
+from lerobot_buds.evaluation.insight import MANIPULATION, WRONG_SKILL
+
 from .experiment import Cell, Experiment, Size
 from .results import Paired, Pooled, paired
 
@@ -112,7 +114,7 @@ def _failures(experiment: Experiment, found: Sequence[tuple[Cell, Pooled]]) -> l
         if not cell.recipe.judged or not any(result.labels for result in pooled.results):
             continue
         published = experiment.failures.get(cell.row, {}) if cell.method == experiment.reference else {}
-        for kind in ("wrong_skill", "manipulation"):
+        for kind in (WRONG_SKILL, MANIPULATION):
             count, name = kinds[kind], kind.replace("_", " ")
             ours = f"{100 * count / len(trials):.1f} ({count} of {len(trials)})"
             lines.append(f"| {cell.row} | {cell.method} | {name} | {published_text(published.get(kind))} | {ours} |")
