@@ -81,8 +81,9 @@ def train(config: TrainingConfig) -> None:
             if len(order) < config.batch_size:
                 order = rng.permutation(rows)
             batch, order = order[: config.batch_size], order[config.batch_size :]
-            terms = policy.model(frames.observation(batch), frames.labels(batch), *frames.actions(batch))
-            loss = policy.model.loss(terms).mean()
+            labels = frames.labels(batch)
+            terms = policy.model(frames.observation(batch), labels, *frames.actions(batch))
+            loss = policy.model.loss(terms, labels).mean()
             optimizer.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(policy.parameters(), policy.config.optimizer_grad_clip_norm)

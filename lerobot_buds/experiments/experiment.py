@@ -74,10 +74,12 @@ class Size:
         segment: Settings file of ``lerobot-buds-segment``.
         policy: Settings file of the policy.
         representation: Settings of the representation beside those of the file.
+        policy_settings: Settings of the policy beside those of the file.
         in_memory: Trains by ``scripts/train_in_memory.py``, else by ``lerobot-train``.
         steps: Training steps of a policy with a meta controller.
         flat_steps: Those of a flat policy, as many as take the same time.
         batch_size: Frames a step.
+        at_once: Episodes that run side by side, in a process each; on a GPU outcomes depend on it, by rounding.
         episode_length: Most control steps of an episode, by task; else the task's own.
         most_episodes: Most demonstrations of a task; None for as many as the experiment says.
         most_trials: Most trials of one training.
@@ -96,7 +98,9 @@ class Size:
     batch_size: int
     video: bool = False
     representation: dict[str, Any] = field(default_factory=dict)
+    policy_settings: dict[str, Any] = field(default_factory=dict)
     in_memory: bool = False
+    at_once: int = 1
     episode_length: dict[str, int] = field(default_factory=dict)
     most_episodes: int | None = None
     most_trials: int | None = None

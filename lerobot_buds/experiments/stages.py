@@ -227,7 +227,7 @@ def _train(
     configs: Path,
     library: Stage | None = None,
 ) -> Stage:
-    policy = {**cell.recipe.policy, **more}
+    policy = {**size.policy_settings, **cell.recipe.policy, **more}
     steps = size.flat_steps if policy.get("skills") == "flat" else size.steps
     where = (
         {"root": data.folder} if size.in_memory else {"dataset.repo_id": "local/skills", "dataset.root": data.folder}
@@ -265,7 +265,7 @@ def _evaluate(
         "env.render_profile": size.render_profile,
         "output_dir": f"{OWN}/rollouts",
         "seed": FIRST_EVALUATION_SEED,
-        "batch_size": 1,
+        "batch_size": size.at_once,
         "video": False,
     }
     if limit is not None:

@@ -10,6 +10,8 @@ from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig  #
 
 from lerobot_buds.core import STATE, WORKSPACE_CAMERA, ConfigError, frames_of_seconds, near_names
 
+from .pauses import PAUSE_S
+
 logger = logging.getLogger(__name__)
 
 PAPER_FPS = 20
@@ -129,6 +131,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     # Training
     boundary_overlap_s: float = 0.5  # how far skills also learn the frames beside their segments (ours; paper: 0)
     balance_skills: bool = False  # every skill weighs the same, however many frames it has (ours)
+    pause_weight: float = 1.0  # of frames from which nothing moves for a moment, see `policy.pauses` (ours; paper: 1)
     optimizer_lr: float = 1e-4  # Adam (notes)
     optimizer_grad_clip_norm: float = 10.0  # LeRobot's default
     push_to_hub: bool = False
@@ -167,7 +170,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
                 raise ConfigError(f"{name}={value} must be positive.")
         if not self.conv_channels:
             raise ConfigError("conv_channels is empty: the encoder needs at least one stage.")
-        for name in ("imagined_subgoals", "memory_dropout"):
+        for name in ("imagined_subgoals", "memory_dropout", "pause_weight"):
             if not 0 <= (value := getattr(self, name)) <= 1:
                 raise ConfigError(f"{name}={value} is a share: between 0 and 1.")
         if self.memory_dropout == 1:
@@ -209,6 +212,11 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     def meta_period(self) -> int:
         """Frames for which a decision of the meta controller is held."""
         return frames_of_seconds(self.meta_period_s, self.fps or PAPER_FPS)
+
+    @property
+    def pause(self) -> int:
+        """Frames for which nothing moves in a pause."""
+        return frames_of_seconds(PAUSE_S, self.fps or PAPER_FPS)
 
     @property
     def boundary_overlap(self) -> int:

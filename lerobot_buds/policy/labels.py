@@ -4,6 +4,7 @@ LeRobot drops custom columns on the way to the policy and always keeps ``index``
 its batches. The tables are plain data of one process.
 """
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -19,6 +20,7 @@ from lerobot_buds.core import (
     ACTION,
     STATE,
     CheckpointError,
+    ConfigError,
     DatasetError,
     IntArray,
     SegmentationError,
@@ -31,6 +33,9 @@ from lerobot_buds.segmentation import REPRESENTATION_DIR, load_labels
 
 from .configuration_buds import BudsConfig
 from .goals import GoalImages
+from .pauses import is_pause
+
+logger = logging.getLogger(__name__)
 
 PREFIX = "labels."
 """What the names of labels in a batch begin with."""
@@ -56,6 +61,7 @@ class Labels:
         history: ``(B, n, h)`` float32 gripper readings of the n frames before, oldest first.
         weight: ``(B,)`` float32 weight of `skill` in the loss.
         neighbour_weight: The same of `neighbour`.
+        frame_weight: ``(B,)`` float32 weight of the frame in all losses; pauses may weigh less.
     """
 
     skill: Tensor
@@ -68,6 +74,7 @@ class Labels:
     history: Tensor
     weight: Tensor
     neighbour_weight: Tensor
+    frame_weight: Tensor
 
     def in_batch(self) -> dict[str, Tensor]:
         """Names the labels as they stand in a batch."""
@@ -102,6 +109,7 @@ class LabelTable:
 
     Raises:
         SegmentationError: The labels are missing or do not fit the dataset.
+        ConfigError: Pauses are to be weighed, and there is no proprioception.
     """
 
     def __init__(self, root: Path, config: BudsConfig) -> None:
@@ -133,6 +141,7 @@ class LabelTable:
         state = table.columns[STATE].reshape(total, -1) if config.state_size else np.empty((total, 0))
         self._readings = state[:, dims].astype(np.float32)
         self._require_finite_state(table, state)
+        self._frame_weight = self._weigh_pauses(state)
 
     def _require_finite_state(self, table: FrameTable, state: NDArray[Any]) -> None:
         used = sorted({*(self.config.current_dims or []), *(self.config.history_dims or [])})
@@ -140,6 +149,19 @@ class LabelTable:
         if used:
             columns = {STATE: state[:, used].astype(np.float32)}
             require_finite(replace(table, columns=columns), STATE, [names[d] for d in used])
+
+    def _weigh_pauses(self, state: NDArray[Any]) -> NDArray[np.float32]:
+        config, weight = self.config, np.ones(len(state), dtype=np.float32)
+        if config.pause_weight == 1:
+            return weight
+        used = sorted({*(config.current_dims or []), *(config.history_dims or [])})
+        if not used:
+            raise ConfigError(f"pause_weight={config.pause_weight}: without proprioception nothing tells a pause.")
+        pauses = is_pause(state[:, used], self._starts, self._ends, config.pause)
+        weight[pauses] = config.pause_weight
+        share = pauses.sum() / max(1, self._present.sum())
+        logger.info("%.1f %% of the frames are pauses and weigh %g (pause_weight).", 100 * share, config.pause_weight)
+        return weight
 
     def _label_episode(self, rows: slice, horizon: int) -> None:
         """Fills in what follows from the skills of one episode."""
@@ -246,6 +268,7 @@ class LabelTable:
             history=torch.from_numpy(self._readings[history_rows(rows, starts, self.config.history_frames)]),
             weight=torch.from_numpy(self._weight[skill]),
             neighbour_weight=torch.from_numpy(self._weight[neighbour]),
+            frame_weight=torch.from_numpy(self._frame_weight[rows]),
         )
 
     def _goals(self, frames: IntArray) -> Tensor:

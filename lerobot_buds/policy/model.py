@@ -141,10 +141,11 @@ class BudsModel(nn.Module):
             terms |= self._errors(outputs, actions, weight, is_padding)
         return terms
 
-    def loss(self, terms: dict[str, Tensor]) -> Tensor:
-        """Adds up what is trained on, ``(B,)``, of the terms that `forward` returned."""
+    def loss(self, terms: dict[str, Tensor], labels: Labels) -> Tensor:
+        """Adds up what is trained on, ``(B,)``, of the terms that `forward` returned for these labels."""
         weights = {"skill_loss": 1.0, "skill_id_loss": 1.0, "subgoal_loss": 1.0, "kl_loss": self.config.kl_weight}
-        return torch.stack([weights[name] * term for name, term in terms.items() if name in weights]).sum(dim=0)
+        trained = torch.stack([weights[name] * term for name, term in terms.items() if name in weights])
+        return labels.frame_weight * trained.sum(dim=0)
 
     def encode(self, observation: Observation, history: Tensor) -> Percept:
         """Computes what skills and meta controllers start from.

@@ -144,10 +144,10 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             ConfigError: A task is unknown.
             DatasetError: The labels are missing.
         """
-        observation = read_inputs(self.config, batch)
+        observation, labels = read_inputs(self.config, batch), Labels.of(batch)
         actions = read_actions(self.config, batch)
-        terms = self.model(observation, Labels.of(batch), actions, batch.get("action_is_pad"))
-        loss = self.model.loss(terms)
+        terms = self.model(observation, labels, actions, batch.get("action_is_pad"))
+        loss = self.model.loss(terms, labels)
         means = torch.stack([term.detach().float().mean() for term in terms.values()]).tolist()
         return loss if reduction == "none" else loss.mean(), dict(zip(terms, means, strict=True))
 
