@@ -9,11 +9,13 @@ import torch
 from accelerate import PartialState  # type: ignore[import-untyped]
 from accelerate.utils import broadcast_object_list, gather_object  # type: ignore[import-untyped]
 from numpy.typing import NDArray
+from torch import Tensor
 from tqdm import tqdm
 
 from lerobot_buds.core import STATE, CheckpointError, DatasetError, FloatArray, sha256_of_json
 from lerobot_buds.data import AnyDataset, FrameStore, as_floats, make_once, scale_images, used_size
 
+from .feed import Feed
 from .inputs import DatasetInputs
 from .network import PROPRIOCEPTION
 from .trained import Representation
@@ -104,14 +106,15 @@ def _encode(
     network = representation.network.to(state.device)
     batches = np.array_split(inputs.rows, range(batch_size, len(inputs.rows), batch_size))
     mine = range(state.process_index, len(batches), state.num_processes)
-    encoded: list[tuple[int, NDArray[np.float32]]] = []
+    feed = Feed(inputs, state.device, again=False)
+    encoded: list[Tensor] = []
     with torch.inference_mode():
-        for number in tqdm(mine, desc="encoding", unit="batch", leave=False, disable=not state.is_main_process):
-            batch = inputs.batch(batches[number], state.device)
-            encoded.append((number, network.latents(batch).cpu().numpy()))
+        fetched = feed.batches(batches[number] for number in mine)
+        for batch in tqdm(fetched, "encoding", len(mine), unit="batch", leave=False, disable=not state.is_main_process):
+            encoded.append(network.latents(batch))  # stays on the device, which need not be waited for
     network.to("cpu")
-    latents = [part for _, part in sorted(gather_object(encoded), key=lambda pair: int(pair[0]))]
-    return np.concatenate(latents)
+    parts = [(number, part.cpu().numpy()) for number, part in zip(mine, encoded, strict=True)]
+    return np.concatenate([part for _, part in sorted(gather_object(parts), key=lambda pair: int(pair[0]))])
 
 
 def _checked(latents: NDArray[np.float32], inputs: DatasetInputs) -> NDArray[np.float32]:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from torch import Tensor
 from lerobot_buds.core import STATE, CheckpointError, DatasetError, IntArray, dims_used, sha256_of_json
 from lerobot_buds.data import (
     AnyDataset,
+    FrameTable,
     LocalDataset,
     as_floats,
     cached_frames,
@@ -121,7 +123,9 @@ class DatasetInputs:
         numbers: ``(E,)`` numbers of the chosen episodes.
         starts: ``(E,)`` absolute index of every chosen episode's first frame.
         ends: ``(E,)`` one past every chosen episode's last frame.
-        rows: ``(M,)`` absolute indices of all chosen frames.
+        rows: ``(M,)`` absolute indices of all chosen frames, in ascending order.
+        arrays: What batches are made of, by absolute index: frames ``(N, 3, H, W)`` uint8 of every camera, and, if
+            fused, `PROPRIOCEPTION` ``(N, D)`` float32.
         fingerprint: Hash of everything that the batches are made of.
 
     Raises:
@@ -134,17 +138,17 @@ class DatasetInputs:
         table = read_table(local, [STATE] if modalities.state_dims else [])
         require_whole(table)
         self.numbers, self.starts, self.ends, self.rows = table.numbers, table.starts, table.ends, table.rows
-        self._state: NDArray[np.float32] | None = None
-        if modalities.state_dims:
-            require_finite(table, STATE, modalities.state_names)
-            state = table.columns[STATE].reshape(len(table.present), -1)
-            self._state = np.ascontiguousarray(state[:, list(modalities.state_dims)], dtype=np.float32)
         sizes = {name: used_size(size, side) for name, size in modalities.cameras.items()}
-        self._frames = {name: cached_frames(local, name, cache_dir, size) for name, size in sizes.items()}
+        state = _state(table, modalities)
+        self.arrays: dict[str, NDArray[Any]] = {
+            name: cached_frames(local, name, cache_dir, size) for name, size in sizes.items()
+        }
+        if state is not None:
+            self.arrays[PROPRIOCEPTION] = state
         self.fingerprint = sha256_of_json(
             {
                 "frames": {name: frames_key(local, name, size) for name, size in sizes.items()},
-                "state": None if self._state is None else sha256(self._state[self.rows].tobytes()).hexdigest(),
+                "state": None if state is None else sha256(state[self.rows].tobytes()).hexdigest(),
                 "starts": self.starts.tolist(),
                 "ends": self.ends.tolist(),
             }
@@ -165,10 +169,7 @@ class DatasetInputs:
         Returns:
             Cameras ``(B, 3, H, W)`` float32 in [0, 1] and, if fused, `PROPRIOCEPTION` ``(B, D)`` float32.
         """
-        batch = {name: as_floats(torch.from_numpy(frames[indices]).to(device)) for name, frames in self._frames.items()}
-        if self._state is not None:
-            batch[PROPRIOCEPTION] = torch.from_numpy(self._state[indices]).to(device)
-        return batch
+        return as_batch({name: torch.from_numpy(array[indices]).to(device) for name, array in self.arrays.items()})
 
     def state_statistics(self, indices: IntArray) -> tuple[Tensor, Tensor]:
         """Computes mean and standard deviation of the proprioception, ``(D,)`` each; constant dimensions get 1.
@@ -176,8 +177,20 @@ class DatasetInputs:
         Args:
             indices: Absolute indices of the frames to use.
         """
-        assert self._state is not None
-        values = self._state[indices].astype(np.float64)
+        values = self.arrays[PROPRIOCEPTION][indices].astype(np.float64)
         std = values.std(axis=0)
         std[std < 1e-6] = 1.0
         return torch.from_numpy(values.mean(axis=0)).float(), torch.from_numpy(std).float()
+
+
+def as_batch(rows: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Turns rows of `DatasetInputs.arrays` into a batch, where they are: bytes become floats in [0, 1]."""
+    return {name: as_floats(values) if values.dtype == torch.uint8 else values for name, values in rows.items()}
+
+
+def _state(table: FrameTable, modalities: Modalities) -> NDArray[np.float32] | None:
+    if not modalities.state_dims:
+        return None
+    require_finite(table, STATE, modalities.state_names)
+    state = table.columns[STATE].reshape(len(table.present), -1)
+    return np.ascontiguousarray(state[:, list(modalities.state_dims)], dtype=np.float32)

@@ -4,6 +4,7 @@ import json
 import logging
 import math
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -19,7 +20,7 @@ from tqdm import tqdm
 from lerobot_buds.core import ConfigError, IntArray, write_atomically
 
 from .configuration import RepresentationConfig
-from .inputs import DatasetInputs
+from .feed import Feed, sent
 from .network import FusionNetwork
 from .reports import Report, kept_report, out_of_patience
 
@@ -32,7 +33,7 @@ _ORDER, _NOISE, _VALIDATION = 0, 1, 3
 
 
 @dataclass
-class _Batches:
+class _Order:
     """The training frames of every step, a function of (seed, step) alone."""
 
     frames: IntArray
@@ -54,7 +55,7 @@ class TrainingRun:
     """Gradient steps, reports and checkpoints of an auto-encoder; everything random depends on the step alone.
 
     Args:
-        inputs: The dataset.
+        feed: The dataset, on the accelerator's device.
         config: Settings.
         network: What to train, in place.
         accelerator: The devices and processes; each takes every n-th frame of a batch.
@@ -67,7 +68,7 @@ class TrainingRun:
 
     def __init__(
         self,
-        inputs: DatasetInputs,
+        feed: Feed,
         config: RepresentationConfig,
         network: FusionNetwork,
         accelerator: Accelerator,
@@ -77,18 +78,21 @@ class TrainingRun:
         smallest = min(config.batch_size, len(training))
         if smallest < accelerator.num_processes:
             raise ConfigError(f"a batch of {smallest} frames is too small for {accelerator.num_processes} processes.")
-        self.inputs, self.config, self.accelerator, self.bare = inputs, config, accelerator, network
-        self.batches = _Batches(training, config.batch_size, config.seed)
+        self.feed, self.config, self.accelerator, self.bare = feed, config, accelerator, network
+        self.order = _Order(training, smallest, config.seed)
         self.validation_frames = validation
         if network.has_proprioception:
-            mean, std = inputs.state_statistics(training)
+            mean, std = feed.inputs.state_statistics(training)
             network.proprioception_mean.copy_(mean)
             network.proprioception_std.copy_(std)
-        optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
+        # One kernel for all parameters; a CPU keeps the loop, and with it the bits it has always had.
+        fused = True if accelerator.device.type == "cuda" else None
+        optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=fused)
         self.network, self.optimizer = accelerator.prepare(network, optimizer)
         self.losses: list[Report] = []
         self.terms: dict[str, Tensor] = {}
         self.kept: dict[str, Tensor] = {}
+        self.go_on_from(0)
 
     def complete(self, checkpoint: Path, key: str) -> list[Report]:
         """Trains to the end, from the checkpoint if it is one of this very run.
@@ -104,7 +108,8 @@ class TrainingRun:
             ConfigError: The loss diverged.
         """
         start = self._restore(checkpoint, key)
-        with _DETERMINISTIC, torch.backends.cudnn.flags(deterministic=True, benchmark=False):
+        self.go_on_from(start)
+        with _DETERMINISTIC, deterministic_convolutions():
             for step in self._remaining(start):
                 self.step(step)
                 if (step + 1) % self.config.checkpoint_interval == 0 or step + 1 == self.config.steps:
@@ -127,31 +132,38 @@ class TrainingRun:
                 if step % 10 == 0:
                     bar.set_postfix(loss=f"{float(self.terms['loss']):.1f}")
 
+    def go_on_from(self, step: int) -> None:
+        """Has the batches ready from a step on; every call of `step` takes the next one."""
+        steps = range(step, self.config.steps)
+        self.batches = self.feed.batches(self._mine(self.order.at(number)) for number in steps)
+
     def step(self, step: int) -> None:
-        """Takes one gradient step."""
+        """Takes one gradient step, the one after the last, or that of `go_on_from`."""
         rate = 0.5 * self.config.learning_rate * (1 + math.cos(math.pi * step / self.config.steps))
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        indices = self.batches.at(step)
-        batch, noise = self._share(indices, _NOISE, step)
+        batch = next(self.batches)
+        noise = self._noise(self.order.batch_size, _NOISE, step)
         terms = self.network(batch, noise, self.config.kl_weight)
         self.optimizer.zero_grad()
         # Gradients are averaged over the processes, whose shares may differ by a frame.
-        weight = len(noise) * self.accelerator.num_processes / len(indices)
+        weight = len(noise) * self.accelerator.num_processes / self.order.batch_size
         self.accelerator.backward(weight * terms["loss"])
         self.terms = {name: weight * value.detach() for name, value in terms.items()}
         self.optimizer.step()
 
-    def _share(self, indices: IntArray, stream: int, step: int) -> tuple[dict[str, Tensor], Tensor]:
-        """Fetches this process's frames of a batch, with their noise."""
+    def _mine[Rows: (IntArray, Tensor)](self, rows: Rows) -> Rows:
+        """Cuts this process's share out of a whole batch's rows."""
+        return rows[self.accelerator.process_index :: self.accelerator.num_processes]
+
+    def _noise(self, length: int, stream: int, step: int) -> Tensor:
+        """Draws the noise of this process's share of a batch."""
         # Drawn on the CPU, for the whole batch and from the step alone: the same on every device, with any number of
         # processes and after every resume.
         seed = np.random.SeedSequence([stream, self.config.seed, step]).generate_state(1, np.uint64)[0]
-        size = (len(indices), self.config.latent_dim)
+        size = (length, self.config.latent_dim)
         noise = torch.randn(size, generator=torch.Generator().manual_seed(int(seed) >> 1))
-        mine = slice(self.accelerator.process_index, None, self.accelerator.num_processes)
-        device = self.accelerator.device
-        return self.inputs.batch(indices[mine], device), noise[mine].to(device)
+        return sent(self._mine(noise), self.accelerator.device)
 
     def _report(self, step: int) -> None:
         terms = self.accelerator.reduce(torch.stack(list(self.terms.values())), "mean").tolist()
@@ -170,9 +182,11 @@ class TrainingRun:
     @torch.no_grad()
     def _validate(self) -> dict[str, float]:
         sums = torch.zeros(len(self.terms), dtype=torch.float64, device=self.accelerator.device)
-        for start in range(0, len(self.validation_frames), self.config.batch_size):
-            indices = self.validation_frames[start : start + self.config.batch_size]
-            batch, noise = self._share(indices, _VALIDATION, start)
+        starts = range(0, len(self.validation_frames), self.config.batch_size)
+        wholes = [self.validation_frames[start : start + self.config.batch_size] for start in starts]
+        batches = self.feed.batches(map(self._mine, wholes))
+        for start, whole, batch in zip(starts, wholes, batches, strict=True):
+            noise = self._noise(len(whole), _VALIDATION, start)
             if len(noise):
                 # Not through the wrapper of several processes, which would wait for those without a frame.
                 terms = self.bare(batch, noise, self.config.kl_weight)
@@ -212,6 +226,19 @@ class TrainingRun:
         self.optimizer.load_state_dict({"state": states, "param_groups": self.optimizer.state_dict()["param_groups"]})
         self.losses = json.loads(metadata["losses"])
         return int(metadata["step"])
+
+
+def deterministic_convolutions() -> AbstractContextManager[None]:
+    """Has cuDNN choose algorithms by rule, not by a race, and only those that sum in one order.
+
+    Its other flags stay as they are; they are named, since PyTorch would switch what is not named off, cuDNN itself
+    included.
+    """
+    cudnn = torch.backends.cudnn
+    flags: AbstractContextManager[None] = cudnn.flags(
+        enabled=cudnn.enabled, allow_tf32=cudnn.allow_tf32, deterministic=True, benchmark=False
+    )
+    return flags
 
 
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -12,6 +12,7 @@ from lerobot_buds.core import ConfigError, IntArray, sha256_of_json
 from lerobot_buds.data import AnyDataset, Origin
 
 from .configuration import RepresentationConfig
+from .feed import Feed
 from .frozen import FrozenFeatures, pretrained_weights
 from .inputs import DatasetInputs, Modalities
 from .network import FusionNetwork
@@ -63,12 +64,13 @@ def train_representation(
     network = Representation.untrained(modalities, config, weights).network
     split = split_episodes(len(inputs.ends), config.validation_fraction, config.seed)
     training, validation = (inputs.frames_of(episodes) for episodes in split)
+    feed = Feed(inputs, accelerator.device, again=isinstance(network, FusionNetwork))
     if isinstance(network, FusionNetwork):
-        run = TrainingRun(inputs, config, network, accelerator, training, validation)
+        run = TrainingRun(feed, config, network, accelerator, training, validation)
         losses = run.complete(output_dir / CHECKPOINT_FILE, key)
     else:
         losses = []
-    _fit(network, inputs, training, config.seed, accelerator.device)
+    _fit(network, feed, training, config.seed)
     parent = Origin.of(dataset).known
     representation = Representation(network.to("cpu").eval(), modalities, config, key, losses, parent)
     # No process may still look for a finished one when it appears, and none return before it is there.
@@ -120,10 +122,7 @@ def _accelerator(config: RepresentationConfig) -> Accelerator:
         ) from error
 
 
-def _fit(
-    network: FusionNetwork | FrozenFeatures, inputs: DatasetInputs, frames: IntArray, seed: int, device: torch.device
-) -> None:
+def _fit(network: FusionNetwork | FrozenFeatures, feed: Feed, frames: IntArray, seed: int) -> None:
     chosen = np.random.default_rng([_FIT, seed]).permutation(frames)[:FIT_FRAMES]
-    network.to(device)
-    batches = np.array_split(np.sort(chosen), -(-len(chosen) // FIT_BATCH))
-    network.fit(inputs.batch(indices, device) for indices in batches)
+    network.to(feed.device)
+    network.fit(feed.batches(np.array_split(np.sort(chosen), -(-len(chosen) // FIT_BATCH))))
