@@ -27,6 +27,7 @@ from lerobot.policies.act import ACTConfig
 from lerobot_buds.core import ACTION
 from lerobot_buds.data import as_floats
 from lerobot_buds.policy import BudsConfig
+from lerobot_buds.policy.graphs import WATCHED
 from lerobot_buds.policy.inputs import read_actions, read_inputs
 from lerobot_buds.policy.labels import Labels
 from lerobot_buds.policy.modeling_buds import BudsPolicy
@@ -55,6 +56,8 @@ class BenchmarkConfig:
     """Trains in bfloat16, as ``lerobot-train`` does with ``--policy.use_amp=true``; the plain loop stays in float32."""
     compiled: bool = False
     """Compiles the encoders of `buds`."""
+    graphs: bool = False
+    """Trains `buds` with CUDA graphs; its policy needs group normalisation."""
     only: str = ""
     """Part of the name of what shall be timed alone."""
 
@@ -157,13 +160,15 @@ def time_training(config: BenchmarkConfig) -> None:
         prepare, _ = make_pre_post_processors(policy.config, dataset_stats=dataset.meta.stats)
         prepared = cycle([prepare(_chunked(batch, policy.config.chunk_size)) for batch in loaded])
         work = make(policy, optimizer)
+        for _ in range(WATCHED if policy.config.cuda_graphs else 0):
+            work(next(prepared))
         return lambda: work(next(prepared))
 
     def updating(policy: BudsPolicy, optimizer: torch.optim.Optimizer) -> Callable[[dict], object]:
         return partial(update, policy, optimizer, config.amp)
 
     works: dict[str, Callable[[], Callable[[], None]]] = {
-        "buds": lambda: on_loaded(updating, compile_model=config.compiled),
+        "buds": lambda: on_loaded(updating, compile_model=config.compiled, cuda_graphs=config.graphs),
         "the same, flat": lambda: on_loaded(updating, skills="flat"),
         "ACT with its defaults": lambda: _act(config, dataset),
     }

@@ -111,6 +111,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     chunk_size: int = 1  # actions a skill predicts at once (paper: 1)
     n_action_steps: int = 1  # of them are carried out before it looks again, or fewer where a decision falls due
     compile_model: bool = False  # torch.compile for the encoders
+    cuda_graphs: bool = False  # training steps on a GPU as CUDA graphs, and fused Adam; needs norm="group" (ours)
 
     # Meta controller
     meta_controllers: str = "per_task"  # one for each task (paper), or one that is "conditioned" on the task (ours)
@@ -181,6 +182,10 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
             raise ConfigError("subgoal_space='latent' takes a segmented dataset's representation; 'single' has none.")
         if self.meta_trunk == "skills" and not self.shared_trunk:
             raise ConfigError("meta_trunk='skills' needs shared_trunk: without it every skill has one of its own.")
+        if self.cuda_graphs and self.norm != "group":
+            raise ConfigError("cuda_graphs needs norm='group': it fills up batches, which batch statistics would see.")
+        if self.cuda_graphs and self.compile_model:
+            raise ConfigError("cuda_graphs and compile_model exclude each other.")
         if self.skills == "flat" and self.skills_path is not None:
             raise ConfigError("skills='flat' has no meta controller to train on the skills of skills_path.")
 

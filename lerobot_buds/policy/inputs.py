@@ -16,7 +16,7 @@ from lerobot_buds.core import ACTION, STATE, CheckpointError
 from lerobot_buds.data import scale_images
 
 from .configuration_buds import BudsConfig
-from .fitting import check_observation, task_number
+from .fitting import task_number
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,7 @@ def read_inputs(config: BudsConfig, batch: Mapping[str, Any]) -> Observation:
         batch: LeRobot's batch.
 
     Raises:
-        CheckpointError: An input is missing or has another shape than the policy was made for, or the environment is
-            not that of the demonstrations.
+        CheckpointError: An input is missing or has another shape than the policy was made for.
         ConfigError: A task is unknown.
     """
     missing = [key for key in config.input_features if key not in batch]
@@ -67,12 +66,11 @@ def read_inputs(config: BudsConfig, batch: Mapping[str, Any]) -> Observation:
             raise CheckpointError(f"{key} has {len(value)} rows, the images of the same observation have {count}.")
         is_bytes = key in config.image_features and value.dtype == torch.uint8
         values[key] = value.float() / 255 if is_bytes else value.float()
-    check_observation(config, batch)
     images = torch.cat([scale_images(values[key], config.image_shape) for key in config.stacked_cameras], dim=1)
     images = images.contiguous(memory_format=torch.channels_last)  # which convolutions are faster on
     state = values[STATE] if STATE in values else images.new_zeros(len(images), 0)
     tasks = [task_number(config, task) for task in _tasks(batch, count)]
-    return Observation(images, state, torch.tensor(tasks, device=images.device))
+    return Observation(images, state, torch.tensor(tasks).to(images.device, non_blocking=True))
 
 
 def read_actions(config: BudsConfig, batch: Mapping[str, Any]) -> Tensor:

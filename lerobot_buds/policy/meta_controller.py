@@ -8,7 +8,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .configuration_buds import BudsConfig
-from .networks import by_group, make_keypoint_encoder, make_mlp, make_pooled_encoder, make_trunk
+from .grouping import Grouping, Rows, by_group
+from .networks import make_keypoint_encoder, make_mlp, make_pooled_encoder, make_trunk
 
 MEMORY_WIDTH = 128
 """Hidden units of the network that reads the memory (ours)."""
@@ -229,37 +230,46 @@ class MetaControllers(nn.Module):
     def __init__(self, config: BudsConfig, memory: int, map_channels: int) -> None:
         super().__init__()
         n_tasks = max(1, len(config.tasks))
-        self.per_task = config.meta_controllers == "per_task"
-        numbers, told = (n_tasks, 0) if self.per_task else (1, n_tasks)
+        numbers, told = (n_tasks, 0) if config.meta_controllers == "per_task" else (1, n_tasks)
         self.controllers = nn.ModuleList(MetaController(config, told, memory, map_channels) for _ in range(numbers))
+
+    def grouping(self, task: Tensor) -> Grouping:
+        """Groups rows by controllers, as their tasks ``(B,)`` say, which waits for a GPU where there are several."""
+        return Grouping.of(task) if len(self.controllers) > 1 else Grouping.whole(len(task))
 
     def propose(self, situation: Situation) -> tuple[Tensor, Tensor]:
         """Rates the skills, every row by its task's meta controller, see `MetaController.propose`."""
         feature, logits = by_group(
-            self._number(situation.task), lambda c, rows: self._controller(c).propose(situation[rows])
+            self.grouping(situation.task), lambda c, rows: self._controller(c).propose(situation[rows])
         )
         return feature, logits
 
     def imagine(self, feature: Tensor, task: Tensor, skill: Tensor, latent: Tensor) -> Tensor:
         """Decodes subgoals, every row by its task's meta controller, see `MetaController.imagine`."""
         (subgoals,) = by_group(
-            self._number(task),
+            self.grouping(task),
             lambda c, rows: [self._controller(c).imagine(feature[rows], skill[rows], latent[rows])],
         )
         return subgoals
 
-    def losses(self, situation: Situation, skill: Tensor, subgoal: Tensor) -> tuple[MetaLosses, Tensor]:
-        """Computes the terms of the loss, every row by its task's meta controller, see `MetaController.losses`."""
+    def losses(
+        self, situation: Situation, skill: Tensor, subgoal: Tensor, grouping: Grouping | None = None
+    ) -> tuple[MetaLosses, Tensor]:
+        """Computes the terms of the loss, every row by its task's meta controller, see `MetaController.losses`.
 
-        def compute(c: int, rows: Tensor | slice) -> list[Tensor]:
+        Args:
+            situation: What the decision is made from.
+            skill: ``(B,)`` int64 skill labels.
+            subgoal: ``(B, d)`` true subgoals, without gradient.
+            grouping: What `grouping` returned, where it has been asked.
+        """
+
+        def compute(c: int, rows: Rows) -> list[Tensor]:
             losses, imagined = self._controller(c).losses(situation[rows], skill[rows], subgoal[rows])
             return [*vars(losses).values(), imagined]
 
-        *losses, imagined = by_group(self._number(situation.task), compute)
+        *losses, imagined = by_group(grouping or self.grouping(situation.task), compute)
         return MetaLosses(*losses), imagined
-
-    def _number(self, task: Tensor) -> Tensor:
-        return task if self.per_task else torch.zeros_like(task)
 
     def _controller(self, number: int) -> MetaController:
         return cast(MetaController, self.controllers[number])

@@ -11,6 +11,7 @@ from lerobot_buds.data import as_floats
 
 from .actions import ActionCoding, ActionRange
 from .configuration_buds import BudsConfig
+from .grouping import Grouping
 from .inputs import Observation
 from .labels import Labels, LabelTable
 from .meta_controller import MetaControllers, Situation, SkillMemory
@@ -43,6 +44,49 @@ class Percept:
     def __getitem__(self, rows: Tensor) -> "Percept":
         """Picks some rows."""
         return Percept(*(value[rows] for value in vars(self).values()))
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The frames of a batch as a loss takes them: images shifted, and skills drawn beside edges.
+
+    Attributes:
+        images: See `Observation`, as the next two.
+        state: ``(B, D)``.
+        task: ``(B,)``.
+        skill: See `Labels`, as all up to `history`.
+        goal: Goal of that skill.
+        weight: ``(B,)``.
+        held: ``(B,)``.
+        held_for: ``(B,)``.
+        finished: ``(B, K)``.
+        history: ``(B, n, h)``.
+        actions: ``(B, n, A)`` demonstrated actions.
+        is_padding: ``(B, n)`` bool, those after the end of the demonstration.
+    """
+
+    images: Tensor
+    state: Tensor
+    task: Tensor
+    skill: Tensor
+    goal: Tensor
+    weight: Tensor
+    held: Tensor
+    held_for: Tensor
+    finished: Tensor
+    history: Tensor
+    actions: Tensor
+    is_padding: Tensor
+
+    @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """All of it, in the order of the arguments."""
+        return tuple(vars(self).values())
+
+    @property
+    def observation(self) -> Observation:
+        """What is seen and felt."""
+        return Observation(self.images, self.state, self.task)
 
 
 class LatentGoals(nn.Module):
@@ -124,21 +168,45 @@ class BudsModel(nn.Module):
         Returns:
             ``(B,)`` floats by their names, the same at every step; those of frozen skills are absent.
         """
+        return self.terms(self.sample(observation, labels, actions, is_padding))
+
+    def sample(self, observation: Observation, labels: Labels, actions: Tensor, is_padding: Tensor | None) -> Sample:
+        """Draws what is drawn for the data's sake in training; for the arguments see `forward`."""
         if self.training:
             observation = replace(observation, images=random_shift(observation.images, self.config.crop_padding))
         skill, goal, weight = self._drawn_beside_edges(labels)
-        percept = self.encode(observation, labels.history)
+        if is_padding is None:
+            is_padding = torch.zeros(actions.shape[:2], dtype=torch.bool, device=actions.device)
+        past = labels.held, labels.held_for, labels.finished, labels.history
+        seen = observation.images, observation.state, observation.task
+        return Sample(*seen, skill, goal, weight, *past, actions, is_padding)
+
+    def groupings(self, sample: Sample) -> tuple[Grouping, Grouping]:
+        """Groups the rows of a sample by skills, and by meta controllers; here a step waits for a GPU."""
+        controllers = self.meta_controllers
+        by_task = controllers.grouping(sample.task) if controllers else Grouping.whole(len(sample.task))
+        return self.skills.grouping(sample.skill), by_task
+
+    def terms(self, sample: Sample, groupings: tuple[Grouping, Grouping] | None = None) -> dict[str, Tensor]:
+        """Computes what `forward` returns, and waits for nothing.
+
+        Args:
+            sample: What `sample` returned.
+            groupings: What `groupings` returned, or the same with rows that fill up.
+        """
+        by_skill, by_task = groupings or self.groupings(sample)
+        percept = self.encode(sample.observation, sample.history)
         terms: dict[str, Tensor] = {}
         subgoal = percept.proprio[:, :0]
         if self.meta_controllers is not None:
-            subgoal, target = self.encode_goals(skill, goal)
-            situation = self.situation(percept, labels.held, labels.held_for, labels.finished)
-            losses, imagined = self.meta_controllers.losses(situation, skill, target)
-            terms |= vars(losses) | {"subgoal_spread": spread_within(target, skill, self.config.n_skills or 1)}
+            subgoal, target = self.encode_goals(by_skill, sample.goal)
+            situation = self.situation(percept, sample.held, sample.held_for, sample.finished)
+            losses, imagined = self.meta_controllers.losses(situation, sample.skill, target, by_task)
+            terms |= vars(losses) | {"subgoal_spread": spread_within(target, sample.skill, self.config.n_skills or 1)}
             subgoal = self._as_in_rollouts(subgoal, imagined)
         if self.config.skills_path is None or not self.training:
-            outputs = self.skills(skill, percept.maps, subgoal, percept.told)
-            terms |= self._errors(outputs, actions, weight, is_padding)
+            outputs = self.skills(by_skill, percept.maps, subgoal, percept.told)
+            terms |= self._errors(outputs, sample)
         return terms
 
     def loss(self, terms: dict[str, Tensor], labels: Labels) -> Tensor:
@@ -160,11 +228,11 @@ class BudsModel(nn.Module):
             told = torch.cat([proprio, F.one_hot(observation.task, self.config.task_count).to(proprio)], dim=1)
         return Percept(observation.images, maps, proprio, told, observation.task)
 
-    def encode_goals(self, skill: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
+    def encode_goals(self, skill: Tensor | Grouping, goal: Tensor) -> tuple[Tensor, Tensor]:
         """Turns goals into subgoals, ``(B, d)`` each: for the skills, and for the meta controllers, without gradient.
 
         Args:
-            skill: ``(B,)`` int64.
+            skill: ``(B,)`` int64, or rows that have been grouped by it.
             goal: As in `Labels`.
         """
         if self.goals is not None:
@@ -202,13 +270,14 @@ class BudsModel(nn.Module):
         outputs = self.skills(skill, percept.maps, subgoal, percept.told)
         return self.actions.decode(self.actions.expected(outputs))
 
-    def _errors(self, outputs: Tensor, actions: Tensor, weight: Tensor, is_padding: Tensor | None) -> dict[str, Tensor]:
+    def _errors(self, outputs: Tensor, sample: Sample) -> dict[str, Tensor]:
         """Compares outputs with demonstrated actions, ``(B,)`` means over those of the demonstration."""
-        errors, misses = self.actions.errors(outputs, actions), self.actions.misses(outputs, actions)  # (B, n)
-        inside = torch.ones_like(errors) if is_padding is None else (~is_padding).to(errors)
+        errors = self.actions.errors(outputs, sample.actions)  # (B, n)
+        misses = self.actions.misses(outputs, sample.actions)  # (B, n)
+        inside = (~sample.is_padding).to(errors)
         count = inside.sum(dim=1)
         return {
-            "skill_loss": weight * (errors * inside).sum(dim=1) / count,
+            "skill_loss": sample.weight * (errors * inside).sum(dim=1) / count,
             "action_error": (misses * inside).sum(dim=1) / count,
         }
 
@@ -241,5 +310,5 @@ def spread_within(subgoal: Tensor, skill: Tensor, n_skills: int) -> Tensor:
         n_skills: Number of skills.
     """
     sums = subgoal.new_zeros(n_skills, subgoal.shape[1]).index_add(0, skill, subgoal)
-    counts = torch.bincount(skill, minlength=n_skills).clamp(min=1)
+    counts = F.one_hot(skill, n_skills).sum(dim=0).clamp(min=1)  # `bincount` would wait for a GPU
     return (subgoal - (sums / counts[:, None])[skill]).float().square().sum(dim=1)

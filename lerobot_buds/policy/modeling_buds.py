@@ -13,7 +13,8 @@ from lerobot_buds.core import CheckpointError
 
 from .card import card_text, write_card
 from .configuration_buds import BudsConfig
-from .fitting import check_tasks, complete
+from .fitting import check_observation, check_tasks, complete
+from .graphs import GraphedSteps
 from .inputs import Observation, read_actions, read_inputs
 from .labels import Labels, LabelTable
 from .library import TrainedSkills
@@ -70,6 +71,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         self.model.skills.requires_grad_(config.skills_path is None)
         if config.compile_model:
             compile_encoders(self.model)
+        self._graphed_steps: GraphedSteps | None = None
         self._rollouts: dict[int, Rollout] = {}
         self._laid_out_for_acting = False
 
@@ -113,12 +115,17 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             self.model.actions.warn_of_unreachable(self._found)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
-        """Returns one named parameter group for what is trained of skills and meta controllers each."""
+        """Returns one named parameter group for what is trained of skills and meta controllers each.
+
+        With graphs Adam is the fused one, which launches fewer kernels; LeRobot lets it be said here alone, and resumes
+        only checkpoints that say the same.
+        """
+        settings = {"fused": True} if self.config.cuda_graphs else {}
         parts = {"skills": self.model.skills, "meta_controllers": self.model.meta_controllers}
         trained = {
             name: [p for p in part.parameters() if p.requires_grad] for name, part in parts.items() if part is not None
         }
-        return [{"name": name, "params": params} for name, params in trained.items() if params]
+        return [{"name": name, "params": params, **settings} for name, params in trained.items() if params]
 
     def train(self, mode: bool = True) -> Self:
         """Switches to training, in which frozen skills keep their batch statistics."""
@@ -146,10 +153,22 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         """
         observation, labels = read_inputs(self.config, batch), Labels.of(batch)
         actions = read_actions(self.config, batch)
-        terms = self.model(observation, labels, actions, batch.get("action_is_pad"))
+        sample = self.model.sample(observation, labels, actions, batch.get("action_is_pad"))
+        terms = self._steps(sample) if self._replays and torch.is_grad_enabled() else self.model.terms(sample)
         loss = self.model.loss(terms, labels)
         means = torch.stack([term.detach().float().mean() for term in terms.values()]).tolist()
         return loss if reduction == "none" else loss.mean(), dict(zip(terms, means, strict=True))
+
+    @property
+    def _replays(self) -> bool:
+        """Whether training steps are replayed; a setting for GPUs that CPUs pass over, so that checkpoints move."""
+        return self.config.cuda_graphs and self.training and next(self.parameters()).is_cuda
+
+    @property
+    def _steps(self) -> GraphedSteps:
+        if self._graphed_steps is None:
+            self._graphed_steps = GraphedSteps(self.model)
+        return self._graphed_steps
 
     def reset(self) -> None:
         """Forgets the calling thread's rollout; LeRobot may evaluate several tasks in threads that share the policy."""
@@ -180,12 +199,14 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
             ``(B, A)`` float32 actions, in the unit of the demonstrations.
 
         Raises:
-            CheckpointError: An input is missing or has another shape than the policy was made for.
+            CheckpointError: An input is missing or has another shape than the policy was made for; or, at the first
+                step, the environment is not that of the demonstrations.
             ConfigError: A task is unknown.
         """
         observation = self._observe(batch)
         rollout = self._rollouts.get(threading.get_ident())
         if rollout is None or len(rollout.skill) != len(observation.images):
+            check_observation(self.config, batch)
             rollout = Rollout.start(self.model, observation)
             self._rollouts[threading.get_ident()] = rollout
         # On a CPU batches gain little, and without them no episode depends on those that run beside it.
@@ -205,6 +226,7 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         observation = self._observe(batch)
         rollout = self._rollouts.get(threading.get_ident())
         if rollout is None or len(rollout.skill) != len(observation.images):
+            check_observation(self.config, batch)
             return Rollout.start(self.model, observation).foresee(self.model, observation, noise, remembers=False)
         return rollout.foresee(self.model, observation, noise)
 
@@ -216,7 +238,8 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
 
     def _lay_out_for_acting(self, acting: bool) -> None:
         # Not before the first action: optimisers and data parallelism take the order in which they find the weights.
-        if acting != self._laid_out_for_acting:
+        # Nor where graphs are replayed: they know where the weights lie.
+        if acting != self._laid_out_for_acting and not self.config.cuda_graphs:
             lay_out(self, torch.channels_last if acting else torch.contiguous_format)
             self._laid_out_for_acting = acting
 
@@ -227,5 +250,5 @@ class BudsPolicy(PreTrainedPolicy):  # type: ignore[misc]
         return None if rollout is None else rollout.skill
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leaves labels and rollouts out of copies: they belong to one process."""
-        return {**self.__dict__, "labels": None, "_rollouts": {}}
+        """Leaves labels, rollouts and graphs out of copies: they belong to one process."""
+        return {**self.__dict__, "labels": None, "_rollouts": {}, "_graphed_steps": None}

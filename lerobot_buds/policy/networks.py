@@ -1,4 +1,4 @@
-"""What the networks are built of: image trunks, spatial softmax, perceptrons, and one network for every group."""
+"""What the networks are built of: image trunks, spatial softmax, perceptrons."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -11,9 +11,6 @@ from .configuration_buds import BudsConfig
 
 Trunk = tuple[nn.Module, int]
 """Layers that turn images into maps, and the channels of these."""
-
-Rows = Tensor | slice
-"""Picks rows of a batch."""
 
 GROUP_WIDTH = 16
 """Channels per group of group normalisation (Wu and He 2018)."""
@@ -141,29 +138,6 @@ def make_keypoint_encoder(trunk: nn.Module, channels: int, keypoints: int, featu
 def make_pooled_encoder(trunk: nn.Module) -> Layers:
     """Builds trunk and global average pooling: images to ``(B, channels)`` (released meta controller)."""
     return Layers(trunk, nn.AdaptiveAvgPool2d(1), nn.Flatten())
-
-
-def by_group(number: Tensor, compute: Callable[[int, Rows], Sequence[Tensor]]) -> list[Tensor]:
-    """Computes something for all rows of a batch, group by group.
-
-    Args:
-        number: ``(B,)`` int64 group of every row, B at least 1.
-        compute: Called with the number of a group and its rows; returns tensors with one row for each of them.
-
-    Returns:
-        The tensors of all groups put together, rows in the order of the batch.
-    """
-    if len(number) == 1:
-        return list(compute(int(number), slice(None)))
-    order = torch.argsort(number, stable=True)
-    groups, counts = torch.unique_consecutive(number[order], return_counts=True)
-    if len(groups) == 1:
-        return list(compute(int(groups), slice(None)))
-    parts = [
-        compute(group, rows) for group, rows in zip(groups.tolist(), torch.split(order, counts.tolist()), strict=True)
-    ]
-    back = torch.argsort(order)
-    return [torch.cat(tensors)[back] for tensors in zip(*parts, strict=True)]
 
 
 def random_shift(images: Tensor, padding: int) -> Tensor:

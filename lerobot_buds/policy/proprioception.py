@@ -27,11 +27,14 @@ class Proprioception(nn.Module):
 
     mean: Tensor
     std: Tensor
+    current_dims: Tensor
+    history_dims: Tensor
 
     def __init__(self, config: BudsConfig, dataset_stats: Mapping[str, Mapping[str, Any]] | None) -> None:
         super().__init__()
-        self.current_dims = list(config.current_dims or [])
-        self.history_dims = list(config.history_dims or [])
+        for name in ("current_dims", "history_dims"):  # on the device: what picks by a list waits for a GPU
+            dims = torch.tensor(getattr(config, name) or [], dtype=torch.int64)
+            self.register_buffer(name, dims, persistent=False)
         mean, std = torch.zeros(config.state_size), torch.ones(config.state_size)
         if dataset_stats and STATE in dataset_stats and config.state_size:
             mean = torch.as_tensor(dataset_stats[STATE]["mean"], dtype=torch.float32).reshape(-1)

@@ -1,4 +1,7 @@
-"""How the policy goes on from step to step, for all environments of a batch together: decisions, plans, memory."""
+"""How the policy goes on from step to step, for all environments of a batch together: decisions, plans, memory.
+
+What falls due is counted on the CPU, whatever the device: to ask a GPU would be to wait for it at every step.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,14 +25,14 @@ class Rollout:
     Attributes:
         skill: ``(B,)`` int64 skill in force.
         subgoal: ``(B, d)`` subgoal in force.
-        steps_left: ``(B,)`` int64 steps for which the decision still holds.
+        steps_left: ``(B,)`` int64 steps for which the decision still holds, on the CPU.
         held_for: ``(B,)`` int64 steps for which the skill has been in force.
         finished: ``(B, K)`` how often every skill had been done before it.
         previous: ``(B,)`` int64 skill that was in force before it, or `UNDECIDED`.
         previous_for: ``(B,)`` int64 steps for which that had been.
         history: ``(B, n, h)`` last n gripper readings, oldest first, without the current one.
         plan: ``(B, m, A)`` the next actions, in the unit of the dataset.
-        planned: ``(B,)`` int64 how many of them are to be carried out.
+        planned: ``(B,)`` int64 how many of them are to be carried out, on the CPU.
     """
 
     skill: Tensor
@@ -49,17 +52,18 @@ class Rollout:
         config, reading = model.config, model.proprioception.reading(observation.state)
         batch, device = len(reading), reading.device
         none = torch.zeros(batch, dtype=torch.int64, device=device)
+        nothing_left = torch.zeros(batch, dtype=torch.int64)
         return cls(
             skill=none + UNDECIDED if config.has_subgoals else none,
             subgoal=torch.zeros(batch, model.skills.subgoal_dim, device=device),
-            steps_left=none,
+            steps_left=nothing_left,
             held_for=none,
             finished=torch.zeros(batch, config.n_skills or 1, device=device),
             previous=none + UNDECIDED,
             previous_for=none,
             history=reading[:, None].repeat(1, config.history_frames, 1),
             plan=torch.zeros(batch, config.chunk_size, int(config.action_feature.shape[0]), device=device),
-            planned=none,
+            planned=nothing_left,
         )
 
     def step(
@@ -100,16 +104,19 @@ class Rollout:
         noise: Tensor | None,
         override: Override | None,
     ) -> None:
-        """Plans anew for some rows, after deciding for those of them whose decision is due, ``(R,)`` bool."""
+        """Plans anew for some rows, after deciding for those whose decision is due, ``(R,)`` bool; both on the CPU."""
+        self.planned = self.planned.index_fill(0, rows, model.config.n_action_steps)
+        self.steps_left = self.steps_left.index_fill(0, rows[due], model.config.meta_period)
+        rows = rows.to(self.skill.device, non_blocking=True)
         percept = model.encode(observation[rows], self.history[rows])
         if due.any():
-            decided = self._decide(model, percept[due], rows[due], noise)
+            deciding = due.nonzero()[:, 0].to(rows.device, non_blocking=True)
+            decided = self._decide(model, percept[deciding], rows[deciding], noise)
             if override is not None:
-                decided = override(rows[due], *decided)
-            self._hold(model, rows[due], *decided)
+                decided = override(rows[deciding], *decided)
+            self._hold(model, rows[deciding], *decided)
         actions = model.act(percept, self.skill[rows], self.subgoal[rows])
         self.plan = self.plan.index_copy(0, rows, actions.to(self.plan.dtype))
-        self.planned = self.planned.index_fill(0, rows, model.config.n_action_steps)
 
     def drop_plans(self) -> None:
         """Ends all decisions and plans here: the next step makes new ones. Memory and readings stay."""
@@ -139,7 +146,7 @@ class Rollout:
         """Asks the meta controllers of some rows for ``(D,)`` skills and ``(D, d)`` subgoals."""
         size = len(rows), model.config.meta_latent
         if not model.config.drawn_subgoals:
-            drawn = torch.zeros(size)
+            drawn = percept.images.new_zeros(size)
         else:
             drawn = torch.randn(size) if noise is None else noise.to(rows.device)[rows]
         memory = self.skill[rows], self.held_for[rows], self.finished[rows]
@@ -154,7 +161,6 @@ class Rollout:
         # Not in place, here and below: a rollout may be carried in and out of torch's inference mode.
         self.skill = self.skill.index_copy(0, rows, skill)
         self.subgoal = self.subgoal.index_copy(0, rows, subgoal.to(self.subgoal.dtype))
-        self.steps_left = self.steps_left.index_fill(0, rows, model.config.meta_period)
 
     def _remember(self, memory: SkillMemory, rows: Tensor, skill: Tensor) -> None:
         """Counts what was done until now; a skill that was left for a moment only goes on as if it had not been."""

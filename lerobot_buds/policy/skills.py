@@ -6,7 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from .configuration_buds import BudsConfig
-from .networks import Trunk, by_group, make_keypoint_encoder, make_mlp, make_trunk
+from .grouping import Grouping, by_group
+from .networks import Trunk, make_keypoint_encoder, make_mlp, make_trunk
 
 
 class SkillPolicy(nn.Module):
@@ -85,16 +86,21 @@ class SkillLibrary(nn.Module):
                 cast(SkillPolicy, skill).start_at_zero()
         self.uses_batch_statistics = config.norm == "batch"
 
-    def forward(self, skill: Tensor, maps: Tensor, subgoal: Tensor, proprio: Tensor) -> Tensor:
+    def grouping(self, skill: Tensor) -> Grouping:
+        """Groups rows by their skills ``(B,)`` int64, which waits for a GPU where there are several."""
+        return Grouping.of(skill) if len(self.skills) > 1 else Grouping.whole(len(skill))
+
+    def forward(self, skill: Tensor | Grouping, maps: Tensor, subgoal: Tensor, proprio: Tensor) -> Tensor:
         """Computes outputs ``(B, n, A)`` as `SkillPolicy`.
 
         Args:
-            skill: ``(B,)`` int64.
+            skill: ``(B,)`` int64, or rows that have been grouped by it; so in all of these methods.
             maps: What `encode_images` returned.
             subgoal: ``(B, d)``.
             proprio: ``(B, P)``.
         """
-        (outputs,) = by_group(skill, lambda k, rows: [self._act(k, maps[rows], subgoal[rows], proprio[rows])])
+        grouping = self._grouped(skill)
+        (outputs,) = by_group(grouping, lambda k, rows: [self._act(k, maps[rows], subgoal[rows], proprio[rows])])
         if self.base is not None:
             outputs = outputs + self.base(maps, subgoal[:, :0], proprio)
         return outputs
@@ -104,14 +110,15 @@ class SkillLibrary(nn.Module):
         maps: Tensor = self.image_trunk(images)
         return maps
 
-    def encode_goals(self, skill: Tensor, goals: Tensor) -> Tensor:
+    def encode_goals(self, skill: Tensor | Grouping, goals: Tensor) -> Tensor:
         """Encodes goal images ``(B, 3, H, W)`` in [0, 1] into ``(B, d)``, row by row in its skill's space."""
         maps = self.goal_trunk(goals)
-        (subgoals,) = by_group(skill, lambda k, rows: [self._skill(k).subgoal_encoder(maps[rows])])
+        grouping = self._grouped(skill)
+        (subgoals,) = by_group(grouping, lambda k, rows: [self._skill(k).subgoal_encoder(maps[rows])])
         return subgoals
 
     @torch.no_grad()
-    def subgoal_targets(self, skill: Tensor, goals: Tensor) -> Tensor:
+    def subgoal_targets(self, skill: Tensor | Grouping, goals: Tensor) -> Tensor:
         """Encodes goal images without gradient, noise or batch statistics (the released code kept train mode).
 
         Args:
@@ -123,6 +130,9 @@ class SkillLibrary(nn.Module):
         targets = self.encode_goals(skill, goals)
         self.train(training)
         return targets
+
+    def _grouped(self, skill: Tensor | Grouping) -> Grouping:
+        return skill if isinstance(skill, Grouping) else self.grouping(skill)
 
     def _make_trunks(self, config: BudsConfig) -> tuple[Trunk, Trunk | None]:
         image_trunk = make_trunk(config, self._channels, stages=4)
