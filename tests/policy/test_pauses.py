@@ -64,7 +64,7 @@ def test_what_is_a_pause_is_said(dataset_root, build, caplog):
         table = LabelTable(dataset_root, build(pause_weight=0.5).config)
     assert "of the frames are pauses and weigh 0.5" in caplog.text
     assert set(np.unique(table._frame_weight)) <= {0.5, 1.0}
-    with pytest.raises(ConfigError, match="pause_weight=0.5: without proprioception"):
+    with pytest.raises(ConfigError, match="without proprioception nothing tells a pause"):
         build(pause_weight=0.5, current_state=[], history_state=[])
     with pytest.raises(ConfigError, match="pause_weight=-1"):
         build(pause_weight=-1)
