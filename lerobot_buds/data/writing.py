@@ -102,7 +102,12 @@ def require_encodable(features: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def create_dataset(
-    repo_id: str, root: Path, fps: float, features: Mapping[str, Mapping[str, Any]], robot_type: str | None = None
+    repo_id: str,
+    root: Path,
+    fps: float,
+    features: Mapping[str, Mapping[str, Any]],
+    robot_type: str | None = None,
+    encoder_threads: int | None = None,
 ) -> "LeRobotDataset":
     """Creates an empty dataset to write to; its user finalizes it.
 
@@ -112,6 +117,7 @@ def create_dataset(
         fps: Frame rate (frames per second), kept as it is: a whole number best as an int, as LeRobot's own are.
         features: LeRobot's features.
         robot_type: The robot's name, where it is known.
+        encoder_threads: Threads that encode each video; the encoder's choice where None.
 
     Raises:
         ConfigError: A camera's images are too small for video.
@@ -135,6 +141,7 @@ def create_dataset(
         streaming_encoding=video,
         encoder_queue_maxsize=_LONGEST,  # a full queue would silently drop frames: longer than any episode
         image_writer_threads=0 if video else 4,
+        encoder_threads=encoder_threads,
     )
     encoder = getattr(dataset.writer, "_streaming_encoder", None)
     if encoder is not None and fps != int(fps):

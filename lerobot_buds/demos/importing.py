@@ -1,8 +1,8 @@
 """Imports HDF5 demonstrations into a LeRobotDataset: resumable, and checked before it appears.
 
-Every demonstration is staged as a finished dataset of one episode beside the target, through LeRobot's own writer. When
-all are there, LeRobot merges them without encoding anew, the result is read back and checked, and renamed into place. A
-kill loses the demonstration in flight, or the merge, and nothing else.
+Every demonstration is staged as a finished dataset of one episode beside the target. When all are there, they are
+joined without encoding anew, the result is read back and checked, and renamed into place. A kill loses the
+demonstration in flight, or the joining, and nothing else.
 """
 
 import logging
@@ -24,20 +24,18 @@ from lerobot_buds.core import (
     read_json,
     sha256_of_file,
     sha256_of_json,
-    staged_directory,
     write_json,
 )
 from lerobot_buds.data.checks import check_demonstrations
 from lerobot_buds.data.collection import RECORD_VERSION
 from lerobot_buds.data.dataset import FPS_RANGE, LocalDataset
+from lerobot_buds.data.joining import join_parts
+from lerobot_buds.data.parts import write_part
 from lerobot_buds.data.writing import (
     camera_feature,
-    create_dataset,
     only_writer,
     require_encodable,
-    sort_stats,
     vector_feature,
-    write_episode,
 )
 
 from .hdf5 import Demonstrations, Source, files_of, open_demonstrations
@@ -108,10 +106,7 @@ def import_demonstrations(plan: Import, cache_dir: Path | None = None) -> Import
             _claim(staging, record)
             for name in tqdm(demonstrations.lengths, desc="demonstrations", unit="episode", dynamic_ncols=True):
                 if not (staging / name).exists():
-                    with staged_directory(staging / name) as folder:
-                        dataset = create_dataset(plan.repo_id, folder, fps, features)
-                        write_episode(dataset, demonstrations.read(name), tasks[name])
-                        dataset.finalize()
+                    write_part(staging / name, plan.repo_id, fps, features, demonstrations.read(name), tasks[name])
             warnings = _merge(staging, plan, demonstrations, record, cache_dir)
             shutil.rmtree(staging)
         return Imported(len(demonstrations.lengths), sum(demonstrations.lengths.values()), warnings)
@@ -224,15 +219,10 @@ def _merge(
     staging: Path, plan: Import, demonstrations: Demonstrations, record: dict[str, Any], cache_dir: Path | None
 ) -> list[str]:
     """Merges the staged episodes into the dataset, once their frames were read back and counted."""
-    from lerobot.datasets import aggregate_datasets
-
     # Below the staging folder, so that a kill leaves nothing that the next call does not find and remove.
     merged = staging / "merged"
     shutil.rmtree(merged, ignore_errors=True)
-    parts = [staging / name for name in demonstrations.lengths]
-    # Appended image rows would be encoded anew, all that are there for each episode: as many files as episodes instead.
-    aggregate_datasets([plan.repo_id] * len(parts), plan.repo_id, parts, merged, concatenate_data=plan.video)
-    sort_stats(merged)
+    join_parts([staging / name for name in demonstrations.lengths], plan.repo_id, merged)
     written = [int(episode["length"]) for episode in LocalDataset(merged).episodes]
     lengths = list(demonstrations.lengths.values())
     if written != lengths:

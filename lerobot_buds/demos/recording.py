@@ -1,9 +1,9 @@
 """Records scripted demonstrations into a LeRobotDataset: in parallel, resumable, the same for any number of workers.
 
-Attempts run in worker processes and are staged one file each in a folder beside the dataset. The episodes are, one task
-after the other, the first successful attempts in the order of their seeds. When there are enough, one writer makes the
-dataset in the same folder and renames it into place. A kill loses the attempts in flight, or the writing, and nothing
-else.
+Attempts run in worker processes. Each is staged, by the worker that ran it, as a finished dataset of one episode in a
+folder beside the dataset. The episodes are, one task after the other, the first successful attempts in the order of
+their seeds; they are joined while later ones run, in the same folder, and the whole is renamed into place. A kill loses
+the attempts in flight, or the joining, and nothing else.
 """
 
 import logging
@@ -14,8 +14,8 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from importlib.metadata import version
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -38,18 +38,12 @@ from lerobot_buds.core import (
     ConfigError,
     DatasetError,
     read_json,
-    write_atomically,
     write_json,
 )
 from lerobot_buds.data.collection import RECORD_VERSION
-from lerobot_buds.data.writing import (
-    camera_feature,
-    create_dataset,
-    require_encodable,
-    sort_stats,
-    vector_feature,
-    write_episode,
-)
+from lerobot_buds.data.joining import join_parts
+from lerobot_buds.data.parts import write_part
+from lerobot_buds.data.writing import camera_feature, require_encodable, vector_feature
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, Task, tasks_named
 
 from .attempts import Attempt, Style, attempt_in_worker
@@ -136,8 +130,8 @@ def record(recording: Recording) -> Summary:
     try:
         with lock.acquire(blocking=False):
             _claim(staging, recording)
-            attempts = _all_attempts(staging, recording)
-            frames = _write_dataset(staging, recording, attempts)
+            with _workers(recording.workers) as pool:
+                attempts, lengths = _written(pool, staging, recording)
             shutil.rmtree(staging)
     except Timeout:
         raise DatasetError(f"Another process is recording {recording.root}; wait for it to end.") from None
@@ -147,8 +141,8 @@ def record(recording: Recording) -> Summary:
         for a in of_task
         if not a.success
     )
-    episodes = recording.episodes * len(recording.tasks)
-    return Summary(episodes, sum(map(len, attempts)), dict(failures), frames, time.monotonic() - began)
+    seconds = time.monotonic() - began
+    return Summary(len(lengths), sum(map(len, attempts)), dict(failures), sum(lengths), seconds)
 
 
 def _check_numbers(recording: Recording) -> None:
@@ -171,6 +165,7 @@ def _claim(staging: Path, recording: Recording) -> None:
     wanted = {
         "settings": [asdict(settings) for settings in recording.settings],
         "seed": recording.seed,
+        "video": recording.video,
         **asdict(recording.style),
     }
     claim = staging / "settings.json"
@@ -181,22 +176,38 @@ def _claim(staging: Path, recording: Recording) -> None:
     write_json(claim, wanted)
 
 
-def _all_attempts(staging: Path, recording: Recording) -> list[list[Attempt]]:
-    """Runs the attempts at every task; returns them, without their arrays, in the order of tasks and seeds."""
+def _written(pool: ProcessPoolExecutor, staging: Path, recording: Recording) -> tuple[list[list[Attempt]], list[int]]:
+    """Makes the dataset; returns the attempts by task and seed, without arrays, and the lengths of the episodes."""
+    folder = staging / "dataset"
+    shutil.rmtree(folder, ignore_errors=True)  # what a killed call left
+    attempts: list[list[Attempt]] = []
+    lengths = join_parts(_parts(pool, staging, recording, attempts), recording.repo_id, folder)
+    record = _collection_record(recording, attempts)
+    write_json(folder / COLLECTION_FILE, record)
+    draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, recording.stages)
+    write_card(folder, record, lengths)
+    folder.replace(recording.root)
+    return attempts, lengths
+
+
+def _parts(
+    pool: ProcessPoolExecutor, staging: Path, recording: Recording, attempts: list[list[Attempt]]
+) -> Iterator[Path]:
+    """Runs the attempts at every task, tells them in `attempts`, and yields the part of each that succeeded."""
     total = recording.episodes * len(recording.tasks)
-    bar = tqdm(total=total, desc="demonstrations", unit="episode", dynamic_ncols=True)
-    pool = ProcessPoolExecutor(recording.workers, mp_context=get_context("spawn"), initializer=_end_with_parent)
-    try:
-        return [list(_attempts(pool, staging, recording, settings, bar)) for settings in recording.settings]
-    except BrokenProcessPool as error:
-        raise BudsError("A worker process died (out of memory?). Run the same command again to go on.") from error
-    finally:
-        bar.close()
-        pool.shutdown(cancel_futures=True)
+    with tqdm(total=total, desc="demonstrations", unit="episode", dynamic_ncols=True) as bar:
+        for settings in recording.settings:
+            attempts.append([])
+            for made in _attempts(pool, staging, recording, settings):
+                attempts[-1].append(made)
+                bar.update(int(made.success))
+                bar.set_postfix(task=settings.task, failed=sum(not a.success for a in attempts[-1]))
+                if made.success:
+                    yield _staged(staging, settings.task, made.seed, "part")
 
 
 def _attempts(
-    pool: ProcessPoolExecutor, staging: Path, recording: Recording, settings: EnvSettings, bar: "tqdm[Any]"
+    pool: ProcessPoolExecutor, staging: Path, recording: Recording, settings: EnvSettings
 ) -> Iterator[Attempt]:
     """Yields attempts at one task in the order of their seeds until enough of them succeeded."""
     done = failed = 0
@@ -204,15 +215,24 @@ def _attempts(
     next_seed = recording.seed
     while done < recording.episodes:
         while len(pending) < min(2 * recording.workers, recording.episodes - done):
-            pending.append(pool.submit(_staged_attempt, staging, settings, next_seed, recording.style))
+            pending.append(pool.submit(_staged_attempt, staging, recording, settings, next_seed))
             next_seed += 1
         result = pending.pop(0).result()
         done, failed = done + result.success, failed + (not result.success)
-        bar.update(int(result.success))
-        bar.set_postfix(task=settings.task, failed=failed)
         if failed > _HOPELESS_AFTER and failed > done:
             raise BudsError(f"The demonstrator failed {failed} of {done + failed} attempts: {result.failure}.")
         yield result
+
+
+@contextmanager
+def _workers(number: int) -> Iterator[ProcessPoolExecutor]:
+    pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_end_with_parent)
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        raise BudsError("A worker process died (out of memory?). Run the same command again to go on.") from error
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _end_with_parent() -> None:
@@ -227,14 +247,26 @@ def _end_with_parent() -> None:
     Thread(target=watch, daemon=True).start()
 
 
-def _staged_attempt(staging: Path, settings: EnvSettings, seed: int, style: Style) -> Attempt:
+def _staged_attempt(staging: Path, recording: Recording, settings: EnvSettings, seed: int) -> Attempt:
     """Runs one attempt in a worker and stages it, unless an earlier run did."""
     outcome = _staged(staging, settings.task, seed, "json")
     if outcome.exists():
         return Attempt(**read_json(outcome))
-    result = attempt_in_worker(settings, seed, style)
+    result = attempt_in_worker(settings, seed, recording.style)
     if result.success:
-        write_atomically(_staged(staging, settings.task, seed, "npz"), partial(_save_arrays, result.arrays))
+        (task,) = tasks_named(settings.task)
+        part = _staged(staging, settings.task, seed, "part")
+        shutil.rmtree(part, ignore_errors=True)  # of a call that was killed between the two
+        write_part(
+            part,
+            recording.repo_id,
+            FPS,
+            _features(recording),
+            _columns(result.arrays, task, recording),
+            task.description,
+            robot_type="panda",
+            encoder_threads=1,  # the other cores have workers of their own
+        )
     told = replace(result, arrays={})
     write_json(outcome, asdict(told))
     return told
@@ -244,42 +276,15 @@ def _staged(staging: Path, task: str, seed: int, suffix: str) -> Path:
     return staging / f"{task.replace('/', '.')}.{seed:06d}.{suffix}"
 
 
-def _save_arrays(arrays: dict[str, NDArray[Any]], path: Path) -> None:
-    with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
-
-
-def _write_dataset(staging: Path, recording: Recording, attempts: list[list[Attempt]]) -> int:
-    folder = staging / "dataset"
-    shutil.rmtree(folder, ignore_errors=True)  # what a killed call left
-    dataset = create_dataset(recording.repo_id, folder, FPS, _features(recording), robot_type="panda")
-    episodes = [
-        (task, a.seed) for task, of_task in zip(recording.tasks, attempts, strict=True) for a in of_task if a.success
-    ]
-    lengths = [
-        write_episode(dataset, _columns(_staged(staging, task.name, seed, "npz"), task, recording), task.description)
-        for task, seed in tqdm(episodes, "writing the dataset", unit="episode", dynamic_ncols=True)
-    ]
-    dataset.finalize()
-    sort_stats(folder)
-    record = _collection_record(recording, attempts)
-    write_json(folder / COLLECTION_FILE, record)
-    draw_contact_sheet(folder, folder / CONTACT_SHEET_FILE, recording.stages)
-    write_card(folder, record, lengths)
-    folder.replace(recording.root)
-    return sum(lengths)
-
-
-def _columns(arrays_file: Path, task: Task, recording: Recording) -> dict[str, NDArray[Any]]:
-    """Reads a staged attempt as the columns of its episode."""
+def _columns(arrays: dict[str, NDArray[Any]], task: Task, recording: Recording) -> dict[str, NDArray[Any]]:
+    """Names an attempt's arrays as the columns of its episode, and counts its stages as all tasks together do."""
     number_of = np.array([recording.stages.index(stage) for stage in task.stages])
-    with np.load(arrays_file, allow_pickle=False) as arrays:
-        return {
-            **{IMAGE_PREFIX + camera: arrays[camera] for camera in CAMERAS},
-            STATE: arrays["agent_pos"],
-            ACTION: arrays["action"],
-            TRUE_STAGE: number_of[arrays["true_stage"]],
-        }
+    return {
+        **{IMAGE_PREFIX + camera: arrays[camera] for camera in CAMERAS},
+        STATE: arrays["agent_pos"],
+        ACTION: arrays["action"],
+        TRUE_STAGE: number_of[arrays["true_stage"]],
+    }
 
 
 def _features(recording: Recording) -> dict[str, dict[str, Any]]:

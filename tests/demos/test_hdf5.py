@@ -191,21 +191,21 @@ def test_a_task_of_the_release_keeps_its_own_images(buds: Path) -> None:
 
 @pytest.mark.parametrize("video", [False, True])
 def test_an_interrupted_import_goes_on(robomimic: Path, monkeypatch: pytest.MonkeyPatch, video: bool) -> None:
-    write, written = importing.write_episode, []
+    write, written = importing.write_part, []
 
-    def counting(*rest: object) -> int:
+    def counting(*rest: object) -> None:
         written.append(rest)
-        return write(*rest)
+        write(*rest)
 
-    def dying(*rest: object) -> int:
+    def dying(*rest: object) -> None:
         if len(written) == 2:
-            raise KeyboardInterrupt  # the third dataset is open, and has no episode yet
-        return counting(*rest)
+            raise KeyboardInterrupt  # before the third is there
+        counting(*rest)
 
-    monkeypatch.setattr(importing, "write_episode", dying)
+    monkeypatch.setattr(importing, "write_part", dying)
     with pytest.raises(KeyboardInterrupt):
         imported(robomimic, video)
-    monkeypatch.setattr(importing, "write_episode", counting)
+    monkeypatch.setattr(importing, "write_part", counting)
     staging = robomimic.parent / "out/.dataset.import"
     (staging / "merged").mkdir()  # what a kill while merging leaves
     with pytest.raises(DatasetError, match="other settings"):

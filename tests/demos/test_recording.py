@@ -84,19 +84,22 @@ def test_workers_and_a_kill_do_not_change_the_dataset(demonstrations, recording,
     root = recording.root
     staging = kill_in_the_middle(root)
     assert not root.exists()
-    # As if the kill had come while the dataset was written.
-    (staging / "dataset" / "meta").mkdir(parents=True)
+    # As if it had come while the dataset was joined, and another between a part and what is told of it.
+    (staging / "multitask_kitchen.task3_variant1.000003.part").mkdir()
+    (staging / "dataset" / "meta").mkdir(parents=True, exist_ok=True)
     (staging / "dataset" / "meta" / "half.json").write_text("{")
-    attempts = {path.name: path.stat().st_mtime_ns for path in staging.glob("*.npz")}
+    attempts = {path.name: path.stat().st_mtime_ns for path in staging.glob("*.part")}
 
     with pytest.raises(DatasetError, match="interrupted recording with other settings"):
         record(replace(recording, seed=1))
     with pytest.raises(DatasetError, match="interrupted recording with other settings"):
         record(replace(recording, settings=(replace(recording.settings[0], render_profile="fast"),)))
+    with pytest.raises(DatasetError, match="interrupted recording with other settings"):
+        record(replace(recording, video=False))
     for style in (Style("people"), Style(clean_actions=True)):
         with pytest.raises(DatasetError, match="interrupted recording with other settings"):
             record(replace(recording, style=style))
-    assert {path.name: path.stat().st_mtime_ns for path in staging.glob("*.npz")} == attempts != {}
+    assert {path.name: path.stat().st_mtime_ns for path in staging.glob("*.part")} == attempts != {}
 
     summary = record(recording)
     assert (summary.episodes, summary.attempts, summary.failures) == (4, 4, {})
@@ -197,11 +200,11 @@ def test_several_tasks_go_into_one_dataset_with_one_count_of_stages(recording):
     assert [table.columns["task_index"][start] for start in table.starts] == [0, 1]
 
 
-def test_images_are_stored_as_they_are_drawn(recording, tmp_path):
-    summary = record(
-        replace(recording, episodes=1, video=False, settings=(replace(recording.settings[0], image_size=16),))
-    )
-    assert summary.episodes == 1 and summary.frames > 60
+def test_images_are_stored_as_they_are_drawn_by_any_number_of_workers(recording, tmp_path):
+    settings = (replace(recording.settings[0], image_size=16),)
+    images = replace(recording, episodes=2, video=False, settings=settings)
+    summary = record(images)
+    assert summary.episodes == 2 and summary.frames > 120
     frames = cached_frames(recording.root, WORKSPACE_CAMERA, tmp_path / "cache")
     assert frames.shape == (summary.frames, 3, 16, 16) and frames.std() > 15
     assert not [path for path in recording.root.rglob("*") if path.suffix == ".mp4" or "images" in path.parts[:-2]]
@@ -209,6 +212,8 @@ def test_images_are_stored_as_they_are_drawn(recording, tmp_path):
     with pytest.raises(DatasetError, match="exists already"):
         record(recording)
     assert files(recording.root) == before
+    record(replace(images, root=tmp_path / "other", workers=3))
+    assert files(tmp_path / "other") == before
 
 
 @pytest.mark.parametrize(
