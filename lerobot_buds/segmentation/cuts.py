@@ -4,13 +4,16 @@ from collections.abc import Callable, Sequence
 
 from lerobot_buds.core import FloatArray, IntArray, frames_of_seconds
 
-from . import baselines
+from . import baselines, prediction, transport
 
 SHORTEST_S = 1.0
 SMOOTHING_S = 0.125
 _UNIFORM_S = 2.0
 _CELL_S = 0.25
 _PRIOR_S = (4.0, 2.0)
+_AHEAD_S, _SURPRISE_SMOOTHING_S = 0.5, 0.25
+_PROTOTYPES = 12  # as many as `MAX_SKILLS`
+_CONSISTENT_SHARE = 0.04  # of a demonstration, on either side of a frame; the release of ASOT
 
 Cut = Callable[[Sequence[FloatArray], float], list[IntArray]]
 """From ``(T, D)`` latents of every demonstration and their frame rate (frames per second) to their ``(S, 2)`` spans."""
@@ -41,11 +44,25 @@ def _visual_subgoals(latents: Sequence[FloatArray], fps: float) -> list[IntArray
     return [baselines.visual_subgoals(episode, shortest, SMOOTHING_S * fps) for episode in latents]
 
 
+def _prediction_error(latents: Sequence[FloatArray], fps: float) -> list[IntArray]:
+    errors = prediction.prediction_errors(latents, frames_of_seconds(_AHEAD_S, fps))
+    return prediction.surprising_moments(errors, frames_of_seconds(SHORTEST_S, fps), _SURPRISE_SMOOTHING_S * fps)
+
+
+def _optimal_transport(latents: Sequence[FloatArray], fps: float) -> list[IntArray]:
+    prototypes, shortest = transport.prototypes_of(latents, _PROTOTYPES), frames_of_seconds(SHORTEST_S, fps)
+    radii = [max(1, round(_CONSISTENT_SHARE * len(episode))) for episode in latents]
+    pairs = zip(latents, radii, strict=True)
+    return [transport.transport_segments(episode, prototypes, radius, shortest) for episode, radius in pairs]
+
+
 CUTS: dict[str, Cut] = {
     "kernel change points": _kernel_change_points,
     "mean change points": _mean_change_points,
     "MAP change points": _map_change_points,
     "UVD": _visual_subgoals,
+    "prediction error": _prediction_error,
+    "optimal transport": _optimal_transport,
     "uniform": _uniform,
 }
-"""How each baseline cuts all demonstrations."""
+"""How each baseline cuts all demonstrations; the same latents give the same cuts."""

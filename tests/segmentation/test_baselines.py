@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lerobot_buds.segmentation import baselines
+from lerobot_buds.segmentation import baselines, prediction, transport
 
 
 def steps(lengths=(60, 80, 50), dims=6, noise=0.2, seed=0):
@@ -24,6 +24,8 @@ CUTTERS = {
     "mean": baselines.mean_change_points,
     "map": lambda x, n: baselines.map_change_points(x, 5, 60, 30, n),
     "uvd": lambda x, n: baselines.visual_subgoals(x, n, 2.5),
+    "prediction": lambda x, n: prediction.surprising_moments(prediction.prediction_errors([x], 5), n, 2.5)[0],
+    "transport": lambda x, n: transport.transport_segments(x, transport.prototypes_of([x], 5), 8, n),
     "grip": lambda x, n: baselines.grip_and_rest(x[:, :3], x[:, 0], n, 2.5),
 }
 
