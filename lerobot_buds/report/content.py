@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from lerobot_buds.core import TRUE_STAGE, CheckpointError, IntArray, SegmentationError
+from lerobot_buds.core import TRUE_STAGE, CheckpointError, FloatArray, IntArray, SegmentationError
 from lerobot_buds.data import LocalDataset, read_collection, true_stages
 from lerobot_buds.segmentation import SegmentationRecord, SkillModel, TaskStructure, load_labels, names_of
 from lerobot_buds.segmentation.settings import TREE
@@ -47,6 +47,7 @@ class Content:
         structures: How each was cut; None where the dataset lacks what made its latents.
         side: Side of the squares in which the frame store holds its frames already (pixels).
         names: Names of the skills; None where it carries none.
+        latents: ``(T, D)`` latents of each; None where the dataset lacks what made them.
     """
 
     dataset: LocalDataset
@@ -60,6 +61,7 @@ class Content:
     structures: list[Structure] | None
     side: int
     names: tuple[str, ...] | None = None
+    latents: list[FloatArray] | None = None
 
     @classmethod
     def read(cls, dataset: LocalDataset) -> Self:
@@ -74,10 +76,11 @@ class Content:
         labels = record.labels
         try:
             model = SkillModel.from_pretrained(dataset.root)
-            structures, side = _structures(dataset, model), model.representation.config.side
+            latents, structures = _structures(dataset, model)
+            side = model.representation.config.side
         except (SegmentationError, CheckpointError) as error:
             logger.warning("The report shows no trees: %s", error)
-            structures, side = None, SIDE
+            latents, structures, side = None, None, SIDE
         return cls(
             dataset,
             record,
@@ -90,6 +93,7 @@ class Content:
             structures,
             side,
             names_of(dataset.root, record.n_skills),
+            latents,
         )
 
     @property
@@ -103,11 +107,11 @@ class Content:
         return {k: names[k].replace("_", " ") if 0 <= k < len(names) else f"stage {k}" for k in found}
 
 
-def _structures(dataset: LocalDataset, model: SkillModel) -> list[Structure]:
-    """Cuts the demonstrations again; where the cut depends on all of them, a choice of them may differ slightly."""
+def _structures(dataset: LocalDataset, model: SkillModel) -> tuple[list[FloatArray], list[Structure]]:
+    """Encodes and cuts the demonstrations again; where that depends on all of them, a choice may differ slightly."""
     from lerobot_buds.representation import encode_dataset
 
     latents = encode_dataset(dataset, model.representation)
     discovery = model.config.build(dataset.fps)
     trees = discovery.trees(latents) if model.config.cut == TREE else {}
-    return [Structure(trees.get(place), segments) for place, segments in enumerate(discovery.cut(latents))]
+    return latents, [Structure(trees.get(place), segments) for place, segments in enumerate(discovery.cut(latents))]

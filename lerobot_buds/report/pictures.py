@@ -68,14 +68,15 @@ class Pictures:
         width, height = self.sizes[camera]
         strip = Image.new("RGB", (width * self.count, height))
         for place, frame in enumerate(middles(length, self.count).tolist()):
-            strip.paste(self._picture(camera, start + frame), (width * place, 0))
+            strip.paste(self.image(camera, start + frame), (width * place, 0))
         return data_uri(strip, BYTES * self.count)
 
     def frame(self, camera: str, index: int) -> str:
         """Makes a picture of one frame, by its absolute index."""
-        return data_uri(self._picture(camera, index), BYTES)
+        return data_uri(self.image(camera, index), BYTES)
 
-    def _picture(self, camera: str, index: int) -> "Image":
+    def image(self, camera: str, index: int) -> "Image":
+        """Reads one frame, by its absolute index, in the shape of its camera and at most `HEIGHT` high."""
         from PIL import Image
 
         # The store's squares get back the shape of the camera.

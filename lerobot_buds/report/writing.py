@@ -20,23 +20,24 @@ from .scores import scores
 PAGE = Path(__file__).parent / "page"
 
 
-def write_report(path: Path, content: Content, name: str) -> None:
+def write_report(path: Path, content: Content, name: str, compared: Mapping[str, Any] | None = None) -> None:
     """Writes the report of a segmentation, atomically; the same content gives the same bytes.
 
     Args:
         path: The HTML file to create or replace.
         content: What is shown.
         name: Name of the dataset, for the title.
+        compared: How other methods agree with the same stages, see `rivals`; None where that is not known.
 
     Raises:
         DatasetError: Its frames are damaged.
         StorageError: They do not fit into the frame store, or the file cannot be written.
     """
-    page = render(content, name)
+    page = render(content, name, compared)
     write_atomically(path, lambda part: part.write_text(page, encoding="utf-8"))
 
 
-def render(content: Content, name: str) -> str:
+def render(content: Content, name: str, compared: Mapping[str, Any] | None = None) -> str:
     """Makes the page, see `write_report`."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
@@ -59,6 +60,7 @@ def render(content: Content, name: str) -> str:
         figures=_figures(content, scored),
         cards=cards(content, pictures),
         scores=scored,
+        compared=compared,
         curve=_curve(content.record),
         provenance=_provenance(content),
         data={

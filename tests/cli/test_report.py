@@ -23,6 +23,17 @@ def test_it_writes_one_file(segmented, tmp_path, monkeypatch, capsys):
     assert "skills.html (" in capsys.readouterr().out
 
 
+def test_a_recording_for_rerun_is_written_beside_it(segmented, tmp_path, monkeypatch, capsys):
+    arguments = ["--repo_id=tests/skills", f"--root={segmented}", "--episodes=[1]", f"--output={tmp_path / 'r.html'}"]
+    run(monkeypatch, *arguments, f"--rerun={tmp_path / 'r.rrd'}")
+    assert (tmp_path / "r.rrd").read_bytes()[:4] == b"RRF2"
+    assert "r.rrd (" in capsys.readouterr().out
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(SystemExit) as stop:
+        run(monkeypatch, *arguments[:-1], f"--output={tmp_path / 's.html'}", f"--rerun={tmp_path / 's.rrd'}")
+    assert "needs rerun" in str(stop.value.code) and not (tmp_path / "s.html").exists()
+
+
 def test_a_dataset_that_is_not_segmented_is_refused(demonstrations, tmp_path, monkeypatch):
     with pytest.raises(SystemExit) as stop:
         run(monkeypatch, "--repo_id=tests/demos", f"--root={demonstrations}", f"--output={tmp_path / 'r.html'}")

@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lerobot_buds.core import SegmentationError
+from lerobot_buds.core import DatasetError, SegmentationError, write_json
 from lerobot_buds.data import LocalDataset
-from lerobot_buds.report import Content, write_report
+from lerobot_buds.evaluation import Demonstrations, compare, comparison_rows
+from lerobot_buds.report import Content, rivals, write_report
 from lerobot_buds.report.cards import cards
 from lerobot_buds.report.demonstrations import demonstrations
 from lerobot_buds.report.pictures import BUDGET, BYTES, HEIGHT, Pictures, data_uri, middles
 from lerobot_buds.report.scores import scores
 from lerobot_buds.report.writing import render, skill_colors
-from lerobot_buds.segmentation import REPRESENTATION_DIR
+from lerobot_buds.segmentation import REPRESENTATION_DIR, DiscoveryConfig
 
 HOSTILE = "</script><script>hacked = 1</script><img src=x onerror='hacked = 2'>&amp;"
 
@@ -67,6 +68,36 @@ def test_scores_are_those_of_the_shown_demonstrations(content):
     assert [[cell["matched"] for cell in row["cells"]] for row in shown["confusion"]] == [[1, 0], [0, 1], [0, 0]]
     assert [cell["share"] for cell in shown["confusion"][1]["cells"]] == [1 / 16, 15 / 16]
     assert scores(replace(content, stages=None)) is None
+
+
+def test_other_methods_stand_beside_where_they_were_compared(content, tmp_path):
+    rng = np.random.default_rng(0)
+    latents = [rng.normal(size=(60, 3)) + 5 * (np.arange(60) >= 30)[:, None] for _ in range(3)]
+    stages = [np.repeat([0, 1], 30)] * 3
+    data = Demonstrations(latents, latents, stages, latents, [x[:, 0] for x in latents], 10.0)
+    methods = ["default", "uniform", "prediction error", "true stages"]
+    results = [r for seed in (0, 1) for r in compare(data, DiscoveryConfig(max_skills=2), seed, methods)]
+    write_json(tmp_path / "comparison.json", comparison_rows(results))
+    compared = rivals(tmp_path / "comparison.json")
+    assert [row["method"] for row in compared["rows"]] == methods and compared["seeds"] == 2
+    place = compared["columns"].index("boundary F1")
+    default, uniform, _, oracle = (row["cells"][place] for row in compared["rows"])
+    assert (default["text"], default["range"], default["best"]) == ("1.00", "1.00 to 1.00", True)
+    assert not uniform["best"] and not oracle["best"] and oracle["text"] == "1.00"
+    assert "Beside other methods" in (page := render(content, "me/demo", compared))
+    assert "uniform</th>" in page and "Beside other methods" not in render(content, "me/demo")
+    without_stages = render(replace(content, stages=None), "me/demo", compared)
+    assert "uniform</th>" in without_stages and "NMI</th>" in without_stages
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '[{"method": "default"}]', '{"seeds": 3}'])
+def test_what_is_no_comparison_is_refused(tmp_path, text):
+    path = tmp_path / "comparison.json"
+    path.write_text(text)
+    with pytest.raises(DatasetError, match=r"holds no comparison .*lerobot-buds-compare writes one"):
+        rivals(path)
+    with pytest.raises(DatasetError, match="FileNotFoundError"):
+        rivals(tmp_path / "missing.json")
 
 
 def test_what_is_not_known_is_left_out(content):
