@@ -34,10 +34,12 @@ class DatasetOptions:
         """Finds the dataset on this machine, after downloading it where it is missing and has no folder given.
 
         Raises:
-            DatasetError: It is not on this machine and cannot be had from the Hub.
+            DatasetError: It is not on this machine and cannot be had from the Hub, or is no LeRobotDataset.
         """
         place = dataset_root(self.repo_id, self.root)
         if self.root is None and (self.revision is not None or not (place / "meta" / "info.json").exists()):
             place = download_dataset(self.repo_id, self.revision, self.episodes)
         chosen = None if self.episodes is None else tuple(self.episodes)
-        return LocalDataset(place, chosen, self.rename_map, self.video_backend, self.revision, self.repo_id)
+        dataset = LocalDataset(place, chosen, self.rename_map, self.video_backend, self.revision, self.repo_id)
+        _ = dataset.info  # LeRobot would look for a folder that does not exist on the Hub, under its last name
+        return dataset

@@ -55,6 +55,8 @@ def share(config: ShareConfig) -> str:
         ConfigError: There is nothing to share, or a setting does not go with it.
         BudsError: It is damaged, or the repository may not be written or cannot be reached.
     """
+    if not config.root.is_dir():
+        raise ConfigError(f"{config.root} is no folder on this machine: there is nothing to share.")
     root, target = config.root, (config.repo_id, config.private, config.branch)
     is_dataset, is_policy = (root / SEGMENTATION_FILE).exists(), (root / "config.json").exists()
     if config.labels_only and not is_dataset:

@@ -83,13 +83,16 @@ def load_policy(name: str, root: Path, device: str | None = None) -> "BudsPolicy
     Raises:
         CheckpointError: There is no such checkpoint, it is none of policy ``buds``, or it does not fit the dataset.
         ConfigError: It does not know a task of the dataset.
+        DatasetError: There is no such dataset.
         SegmentationError: The dataset is not segmented.
     """
     from lerobot.datasets import LeRobotDatasetMetadata
 
+    from lerobot_buds.data import LocalDataset
     from lerobot_buds.policy.modeling_buds import BudsPolicy
 
     folder = checkpoint_folder(name)
+    _ = LocalDataset(root).info  # LeRobot would ask the Hub for a dataset that is not there
     meta = LeRobotDatasetMetadata(root.name, root=root)
     return BudsPolicy.from_pretrained(folder, config=read_config(folder, device), dataset_meta=meta)
 

@@ -235,8 +235,11 @@ class SegmentationRecord:
             root: Folder of the dataset.
 
         Raises:
-            SegmentationError: The record is missing, damaged, or of a newer version than this package knows.
+            SegmentationError: The folder or the record is missing, or the record is damaged, or of a newer version than
+                this package knows.
         """
+        if not root.is_dir():
+            raise SegmentationError(f"{root} is no folder on this machine: there is no segmented dataset.")
         path = root / SEGMENTATION_FILE
         try:
             content = read_json(path)
