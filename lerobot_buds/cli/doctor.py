@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from lerobot_buds.core import ConfigError, SimulatorError
+from lerobot_buds.core import LEROBOT_REMEDY, ConfigError, SimulatorError, untried_lerobot
 from lerobot_buds.envs import EnvSettings, RobosuiteEnv
 from lerobot_buds.envs.loading import ROBOSUITE_VERSION
 from lerobot_buds.envs.remedies import CannotStartError, backend
@@ -33,6 +33,8 @@ DISTRIBUTION = "lerobot_policy_buds"
 
 ROBOSUITE = f"robosuite=={ROBOSUITE_VERSION}"
 """Not among the distribution's requirements, since it has to be installed without its own (see docs/install.md)."""
+
+_IN_A_CHECKOUT = "in a checkout of this package: make setup, or {} (by its name once it is published)"
 
 _TASK = "hammer_place"  # any will do
 _LIMIT = "BUDS_STORE_LIMIT"
@@ -97,12 +99,24 @@ def check_discovery(installation: Installation) -> Finding:
         return Finding("discovery", "ok", f"{DISTRIBUTION} is installed under the name that LeRobot looks for")
     near = [name for name in installation.plugins if canonicalize_name(name) == canonicalize_name(DISTRIBUTION)]
     detail = f"it is installed as {near[0]}, which LeRobot skips" if near else f"{DISTRIBUTION} is not installed"
-    return Finding("discovery", "FAIL", detail, f"pip install {DISTRIBUTION}, or in a checkout: make setup")
+    return Finding("discovery", "FAIL", detail, _IN_A_CHECKOUT.format("pip install ."))
+
+
+def check_lerobot(installation: Installation) -> Finding:
+    """Is LeRobot one of those that this package was tried with?"""
+    version = installation.versions.get("lerobot")
+    if version is None:
+        return Finding("LeRobot", "FAIL", "not installed", LEROBOT_REMEDY)
+    untried = untried_lerobot(version)
+    if untried is None:
+        return Finding("LeRobot", "ok", f"{version} is one that was tried")
+    return Finding("LeRobot", "warning", f"{untried}; it may work", LEROBOT_REMEDY)
 
 
 def check_versions(installation: Installation) -> Finding:
-    """Are LeRobot and the other required packages there, in versions that this package works with?"""
-    return _compare("versions", [r for r in installation.requirements if _needed(r)], installation.versions)
+    """Are the other required packages there, in versions that this package works with?"""
+    wanted = [r for r in installation.requirements if _needed(r) and Requirement(r).name != "lerobot"]
+    return _compare("versions", wanted, installation.versions)
 
 
 def check_simulator(installation: Installation) -> Finding:
@@ -193,20 +207,22 @@ def check_plugin(installation: Installation) -> Finding:
     try:
         installation.load(DISTRIBUTION)
     except ImportError as error:
-        remedy = f"pip install --force-reinstall {DISTRIBUTION}, or in a checkout: make setup"
+        remedy = _IN_A_CHECKOUT.format("pip install .")
         return Finding("plugin", "FAIL", f"{DISTRIBUTION} cannot be imported: {error}", remedy)
     policies, environments = installation.registered()
     missing = ["policy 'buds'"] * ("buds" not in policies) + ["environment 'robosuite'"] * (
         "robosuite" not in environments
     )
     if missing:
-        remedy = f"pip install --force-reinstall {DISTRIBUTION}: the installed files are not whole"
-        return Finding("plugin", "FAIL", f"imported, but LeRobot does not know {' and '.join(missing)}", remedy)
+        detail = f"imported, but LeRobot does not know {' and '.join(missing)}: the installed files are not whole"
+        remedy = _IN_A_CHECKOUT.format("pip install --force-reinstall --no-deps .")
+        return Finding("plugin", "FAIL", detail, remedy)
     return Finding("plugin", "ok", "LeRobot knows policy 'buds' and environment 'robosuite'")
 
 
 CHECKS = (
     check_discovery,
+    check_lerobot,
     check_versions,
     check_simulator,
     check_rendering,

@@ -50,6 +50,7 @@ from .names import (
     select_dims,
 )
 from .segments import FloatArray, IntArray, Segment, labels_of, lengths_by_label, segments_of, subgoals_of
+from .versions import LEROBOT_RANGE, LEROBOT_REMEDY, untried_lerobot
 
 __all__ = [
     "ACTION",
@@ -61,6 +62,8 @@ __all__ = [
     "EYE_IN_HAND_CAMERA",
     "IMAGE_PREFIX",
     "LANGUAGE_COLUMNS",
+    "LEROBOT_RANGE",
+    "LEROBOT_REMEDY",
     "NAMES_FILE",
     "OUR_ACTION",
     "OUR_STATE",
@@ -100,6 +103,7 @@ __all__ = [
     "sha256_of_json",
     "staged_directory",
     "subgoals_of",
+    "untried_lerobot",
     "write_atomically",
     "write_json",
 ]

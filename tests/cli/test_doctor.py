@@ -1,13 +1,18 @@
 """The doctor tells a broken installation from a sound one. Broken ones are described, not produced."""
 
+import importlib
+import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 from lerobot_buds.cli.doctor import (
     CHECKS,
@@ -16,6 +21,7 @@ from lerobot_buds.cli.doctor import (
     check_decoder,
     check_discovery,
     check_disk,
+    check_lerobot,
     check_opencv,
     check_plugin,
     check_rendering,
@@ -25,7 +31,7 @@ from lerobot_buds.cli.doctor import (
     examine,
     this_installation,
 )
-from lerobot_buds.core import SimulatorError
+from lerobot_buds.core import LEROBOT_RANGE, SimulatorError
 from lerobot_buds.data import FrameStore
 from lerobot_buds.envs.remedies import CannotStartError
 
@@ -52,7 +58,7 @@ def lose_the_simulation():
 SOUND = Installation(
     plugins=["torch", DISTRIBUTION],
     requirements=[
-        *("lerobot[training]==0.6.1", "numpy>=2.0", 'mujoco<3.10,>=3.6; extra == "sim"'),
+        *("lerobot[training]<0.7,>=0.6.1", "numpy>=2.0", 'mujoco<3.10,>=3.6; extra == "sim"'),
         'ruptures>=1.1.10; extra == "cp"',  # not installed, and not missed
     ],
     versions={"lerobot": "0.6.1", "numpy": "2.2.6", "mujoco": "3.9.0", "robosuite": "1.5.1"},
@@ -82,7 +88,10 @@ def test_a_sound_installation_has_nothing_to_remedy() -> None:
     [
         (check_discovery, replace(SOUND, plugins=["torch"]), "FAIL", "not installed"),
         (check_discovery, replace(SOUND, plugins=["lerobot-policy-buds"]), "FAIL", "LeRobot skips"),
-        (check_versions, installed(lerobot="0.7.0"), "FAIL", "lerobot 0.7.0 (needs ==0.6.1)"),
+        (check_lerobot, installed(lerobot="0.7.0"), "warning", "LeRobot 0.7.0 is not among those"),
+        (check_lerobot, installed(lerobot="0.6.0"), "warning", "tried with (>=0.6.1,<0.7); it may work"),
+        (check_lerobot, installed(lerobot=None), "FAIL", "not installed"),
+        (check_versions, installed(numpy="1.26.4"), "FAIL", "numpy 1.26.4 (needs >=2.0)"),
         (check_versions, installed(numpy=None), "FAIL", "numpy is missing"),
         (check_simulator, installed(robosuite=None, mujoco=None), "warning", "not installed"),
         (check_simulator, installed(robosuite="1.5.2"), "FAIL", "robosuite 1.5.2 (needs ==1.5.1)"),
@@ -121,6 +130,33 @@ def test_a_broken_installation_is_named_in_one_line_with_its_remedy(check, insta
 def test_the_remedy_keeps_robosuite_from_bringing_a_second_opencv() -> None:
     remedy = check_simulator(installed(robosuite="1.5.2", mujoco="3.10.0")).remedy
     assert remedy == "pip install --no-deps 'robosuite==1.5.1' && pip install 'mujoco<3.10,>=3.6'"
+
+
+def test_no_remedy_installs_this_package_by_a_name_that_no_index_knows() -> None:
+    """An extra of what is installed already may be asked for by name."""
+    broken = replace(SOUND, plugins=[], load=refuse(DISTRIBUTION), registered=lambda: ([], []))
+    half = replace(SOUND, registered=lambda: ([], []))
+    remedies = [check_discovery(broken).remedy, check_plugin(broken).remedy, check_plugin(half).remedy]
+    for remedy in remedies:
+        assert "in a checkout" in remedy and "once it is published" in remedy
+        assert not re.search(rf"pip install[^,(]*{DISTRIBUTION}(?!\[)", remedy)
+
+
+def test_a_lerobot_that_was_not_tried_is_warned_of_when_the_plugin_is_loaded(caplog, monkeypatch) -> None:
+    import lerobot_buds.plugin
+
+    for version, warnings in (("0.6.1", 0), ("0.7.0", 1)):
+        caplog.clear()
+        monkeypatch.setattr("importlib.metadata.version", lambda name, version=version: version)
+        importlib.reload(lerobot_buds.plugin)
+        assert len(caplog.messages) == warnings
+    assert "LeRobot 0.7.0 is not among those" in caplog.text and "lerobot[training]==0.6.1" in caplog.text
+
+
+def test_the_range_of_lerobots_is_that_of_the_package() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    (requirement,) = [r for r in map(Requirement, project["dependencies"]) if r.name == "lerobot"]
+    assert requirement.specifier == SpecifierSet(LEROBOT_RANGE)
 
 
 def test_a_fault_inside_the_plugin_is_not_swallowed_and_comes_last() -> None:
