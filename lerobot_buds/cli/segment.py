@@ -1,7 +1,7 @@
 """``lerobot-buds-segment``: discovers skills in a LeRobotDataset and writes a labelled copy of it."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -39,6 +39,7 @@ from lerobot_buds.segmentation import (
     DiscoveryConfig,
     SegmentationRecord,
     SkillModel,
+    automatic_names,
     check_target,
     discover_skills,
     draw_silhouettes,
@@ -141,8 +142,8 @@ def segment(config: SegmentConfig) -> SegmentationRecord | None:
         found = _discover(config, dataset, work_dir, given)
         stages = true_stages(dataset) if TRUE_STAGE in dataset.features else None
         record = _record(config, dataset, found, stages)
-        _draw(record, found, dataset, work_dir, stages)
-        names = None if given is None else given.names
+        names = automatic_names(record, dataset, found.model.names) if given is None else given.names
+        _draw(record, found, dataset, work_dir, stages, names)
         write_segmented_dataset(dataset, output, output_repo_id, record, found.model, names)
     if config.push_to_hub:
         logger.info("Sent to %s.", share_dataset(output, output_repo_id, config.private, config.branch))
@@ -272,13 +273,14 @@ def _draw(
     dataset: LocalDataset,
     work_dir: Path,
     stages: list[IntArray] | None,
+    names: Sequence[str],
 ) -> None:
     if found.model.representation.draws:
         draw_reconstructions(dataset, found.model.representation, work_dir / "reconstructions.png")
     title = f"{record.source.repo_id}: {record.n_skills} skills in {len(record.episodes)} demonstrations"
     if record.agreement:
         title += f"\n{_in_words(record.agreement)} against the true stages"
-    draw_timeline(work_dir / "timeline.png", found.labels, record.source.fps, stages, title)
+    draw_timeline(work_dir / "timeline.png", found.labels, record.source.fps, stages, title, names)
     if found.scores:
         draw_silhouettes(work_dir / "n_skills.png", found.scores)
 

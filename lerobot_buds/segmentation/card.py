@@ -65,7 +65,8 @@ def write_card(root: Path, repo_id: str, labels_only: bool = False) -> None:
 
     record = SegmentationRecord.read(root)
     title = f"{record.source.repo_id}: {record.n_skills} skills in {len(record.episodes)} demonstrations"
-    draw_timeline(root / TIMELINE_FILE, record.labels, record.source.fps, title=title)
+    names = names_of(root, record.n_skills)
+    draw_timeline(root / TIMELINE_FILE, record.labels, record.source.fps, title=title, names=names)
     files = "labels/*.parquet" if labels_only else "data/*/*.parquet"  # the second as in LeRobot's own card
     data = DatasetCardData(
         task_categories=["robotics"],

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ Color = tuple[float, float, float, float]
 
 _ROW_INCHES = 0.3
 _MAX_ROWS_INCHES = 24.0
+_LONGEST_NAME = 40  # characters
 
 
 def draw_timeline(
@@ -24,6 +26,7 @@ def draw_timeline(
     fps: float,
     true_stages: Sequence[IntArray] | None = None,
     title: str = "Skills of every demonstration",
+    names: Sequence[str] | None = None,
 ) -> None:
     """Draws the segmentation of a dataset as a PNG, atomically.
 
@@ -33,6 +36,7 @@ def draw_timeline(
         fps: Frame rate (frames per second).
         true_stages: ``(T,)`` true stage of every frame, per demonstration, where these are known.
         title: Title of the picture.
+        names: Names of the skills, by their numbers, where there are any.
 
     Raises:
         DatasetError: Labels and true stages are not of the same demonstrations.
@@ -50,7 +54,7 @@ def draw_timeline(
     draw_rows(axes, labels, fps, "skills", bottom=-0.42, top=split)
     if true_stages is not None:
         draw_rows(axes, true_stages, fps, "stages", bottom=split + 0.04, top=0.42)
-    _finish(figure, axes, labels, true_stages, title)
+    _finish(figure, axes, labels, true_stages, title, names)
     write_atomically(path, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))
 
 
@@ -87,7 +91,12 @@ def draw_rows(
 
 
 def _finish(
-    figure: "Figure", axes: "Axes", labels: Sequence[IntArray], stages: Sequence[IntArray] | None, title: str
+    figure: "Figure",
+    axes: "Axes",
+    labels: Sequence[IntArray],
+    stages: Sequence[IntArray] | None,
+    title: str,
+    names: Sequence[str] | None,
 ) -> None:
     from matplotlib.patches import Patch
     from matplotlib.ticker import MaxNLocator
@@ -104,12 +113,23 @@ def _finish(
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
     skill_colors = label_colors(_occurring(labels), "skills")
-    handles = [Patch(color=color, label=f"skill {k}") for k, color in skill_colors.items()]
+    handles = [Patch(color=color, label=_called(k, names)) for k, color in skill_colors.items()]
     if stages is not None:
         stage_colors = label_colors(_occurring(stages), "stages")
         handles += [Patch(color=color, label=f"true stage {k}") for k, color in stage_colors.items()]
-    figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize="small")
+    legend = figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize="small")
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # names are anybody's: a $ is a $
     axes.set_title(title, loc="left", fontsize="medium", fontweight="bold")
+
+
+def _called(skill: int, names: Sequence[str] | None) -> str:
+    """Calls a skill by its number and, where it has one, its name; automatic names begin with the number."""
+    number = f"skill {skill}"
+    if names is None or not names[skill].strip():
+        return number
+    name = shorten(names[skill], _LONGEST_NAME, placeholder=" ...")
+    return name if name.startswith(f"{number}:") else f"{number}: {name}"
 
 
 def _occurring(episodes: Sequence[IntArray]) -> list[int]:

@@ -74,6 +74,14 @@ def test_share_sends_nothing_unless_asked(segmented: Path, capsys: pytest.Captur
     assert "Nothing was sent" in capsys.readouterr().out
 
 
+def test_share_labels_alone(segmented: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = [f"--root={segmented}", "--repo_id=me/labels", "--labels_only", f"--output_root={tmp_path / 'labels'}"]
+    names = run(3, *options)
+    assert {"labels/labels.parquet", "meta/buds/segmentation.json", "README.md"} <= set(names)
+    assert not any(name.endswith(".mp4") for name in names)
+    assert f"in {tmp_path / 'labels'}" in capsys.readouterr().out
+
+
 def test_look_into_a_policy(
     checkpoint: Path, segmented: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,7 +21,8 @@ from lerobot_buds.data import download_dataset
 from lerobot_buds.segmentation import load_labels
 place = download_dataset("me/skills")
 record, skill_id, _ = load_labels(place)
-assert "lerobot" in (place / "README.md").read_text().lower()
+card = (place / "README.md").read_text()
+assert "lerobot" in card.lower() and "lerobot-buds-segment" in card
 print(json.dumps([str(place), record.n_skills, len(skill_id), (place / "NOTES.md").read_text()]))
 """
 
