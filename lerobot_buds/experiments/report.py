@@ -1,7 +1,7 @@
 """Makes docs/results.md, its pictures and README's table from the results."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from lerobot_buds.core import read_json, write_atomically
@@ -92,13 +92,12 @@ def read_configs(configs: Path) -> tuple[list[Experiment], list[Size]]:
 
 def readme_with_results(text: str, experiments: Sequence[Experiment], sizes: Sequence[Size], results: Path) -> str:
     """Puts the headline figures, and what the demo came to, between the marks of README."""
-    lines = ["| task | flat behaviour cloning | `buds` | trials each, training seeds |", "|---|---|---|---|"]
+    lines = ["| task | flat behaviour cloning | `buds` | size | training seeds |", "|---|---|---|---|---|"]
     for experiment in experiments:
         found = load_results(results, experiment)
         for size in sizes:
-            lines += [_headline(experiment, row, found, size) for row in experiment.rows]
-    table = "\n".join(line for line in lines if line)
-    text = _between(text, "results", table)
+            lines += [line for row in experiment.rows for line in _headlines(experiment, row, found, size)]
+    text = _between(text, "results", "\n".join(lines))
     demo = results / "demo.json"
     return _between(text, "demo", f"```\n{demo_table(read_json(demo))}\n```") if demo.exists() else text
 
@@ -108,11 +107,13 @@ def _between(text: str, mark: str, content: str) -> str:
     return re.sub(pattern, lambda m: f"{m[1]}\n{content}\n\n{m[2]}", text, flags=re.DOTALL)
 
 
-def _headline(experiment: Experiment, row: str, found: Results, size: Size) -> str:
-    flat = next((m for m in experiment.methods if m.startswith("BC")), None)
-    if flat is None or any((size.name, row, m) not in found for m in (flat, experiment.reference)):
-        return ""
-    a, b = (found[size.name, row, method] for method in (flat, experiment.reference))
-    rates = [f"{p.rate.successes} of {p.rate.episodes} ({p.rate.low:.0%} to {p.rate.high:.0%})" for p in (a, b)]
-    name = f"{experiment.short} {row}".strip()
-    return f"| {name} | {rates[0]} | {rates[1]} | {', '.join(map(str, b.seeds))} |"
+def _headlines(experiment: Experiment, row: str, found: Results, size: Size) -> Iterator[str]:
+    """Sets flat policies against what they are to be compared with: the method of their name, else the reference."""
+    for flat in (m for m in experiment.methods if m.startswith("BC")):
+        ours = flat.replace("BC", experiment.reference)
+        ours, variant = (ours, flat.removeprefix("BC")) if ours in experiment.methods else (experiment.reference, "")
+        if all((size.name, row, method) in found for method in (flat, ours)):
+            a, b = (found[size.name, row, method] for method in (flat, ours))
+            rates = [f"{p.rate.successes} of {p.rate.episodes} ({p.rate.low:.0%} to {p.rate.high:.0%})" for p in (a, b)]
+            name = f"{experiment.short} {row}{variant}".strip()
+            yield f"| {name} | {rates[0]} | {rates[1]} | {size.title} | {', '.join(map(str, b.seeds))} |"

@@ -120,8 +120,21 @@ def test_the_report_says_what_was_found(project: Path) -> None:
     assert "| Kitchen | CP | wrong skill |  | 25.0 (1 of 4) |" in text
     assert (project / "docs/results/table1.png").exists() and not (project / "docs/results/table2.png").exists()
     readme = (project / "README.md").read_text()
-    assert "| Kitchen | 2 of 4 (15% to 85%) | 3 of 4 (30% to 95%) | 1000 |" in readme
+    assert "| Kitchen | 2 of 4 (15% to 85%) | 3 of 4 (30% to 95%) | 64 pixels, CPU preset | 1000 |" in readme
     assert "old" not in readme and readme.startswith("before\n") and readme.endswith("after\n")
+
+
+def test_readme_sets_a_variant_of_flat_beside_the_same_variant_of_ours(project: Path) -> None:
+    results = project / "docs/results"
+    for method, outcomes in {"BC": "----", "BUDS": "+---", "BC, moving": "++--", "BUDS, moving": "+++-"}.items():
+        named = result(outcomes, method, labels=None if "BC" in method else "l", experiment="people")
+        named.write(results / f"people/cpu/kitchen.{method}.1000.json".lower().replace(", ", "__"))
+    write_report(CONFIGS, results)
+    people = [line for line in (project / "README.md").read_text().splitlines() if "people" in line]
+    assert [line.split(" | ")[:3] for line in people] == [
+        ["| demonstrated as people do it: Kitchen", "0 of 4 (0% to 49%)", "1 of 4 (5% to 70%)"],
+        ["| demonstrated as people do it: Kitchen, moving", "2 of 4 (15% to 85%)", "3 of 4 (30% to 95%)"],
+    ]
 
 
 def test_every_published_value_is_in_the_report(project: Path) -> None:
