@@ -4,7 +4,7 @@ READY := .venv/.ready
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo reproduce test lint docs doctor
+.PHONY: help setup demo reproduce test lint docs readme doctor
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
@@ -18,7 +18,7 @@ demo: $(READY) ## collect, segment, train and evaluate one task
 TABLE ?= 1
 SIZE ?= cpu
 JOBS ?= 2
-reproduce: $(READY) ## run a table of the paper: TABLE=1 to 4, SIZE=smoke, cpu or paper, JOBS=2
+reproduce: $(READY) ## run a table of the paper: TABLE=1 to 4, SIZE=smoke, cpu, gpu or paper, JOBS=2
 	$(BIN)/python scripts/reproduce.py --experiments='[table$(TABLE)]' --size=$(SIZE) --jobs=$(JOBS)
 
 test: $(READY) ## run all tests
@@ -32,6 +32,9 @@ lint: $(READY) ## check style, types and import directions
 
 docs: $(READY) ## build the site into outputs/site
 	$(BIN)/uv run --python $(BIN)/python --frozen --isolated --only-group docs mkdocs build --strict
+
+readme: $(READY) ## run every command of README on a dataset that the first ones make
+	$(BIN)/python scripts/run_docs.py README.md
 
 doctor: $(READY) ## check the installation
 	$(BIN)/lerobot-buds-doctor

@@ -4,7 +4,8 @@
     python scripts/run_docs.py docs/report.md --list
 
 Run are commands of this package and of LeRobot in fenced blocks, in an empty folder that has `configs`; the rest
-(installing, `make`, containers) is left to whoever runs this. The first that fails ends it. `tests/test_commands.py`
+(installing, `make`, containers) is left to whoever runs this, as are blocks under a comment that says what they need,
+``<!-- needs: a dataset of yours -->``. The first that fails ends it. `tests/test_commands.py`
 checks the same commands of all documents without running them.
 """
 
@@ -19,12 +20,19 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 
-_FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```", flags=re.M | re.S)
+_FENCE = re.compile(r"(<!-- needs: .*? -->\n+)?^( *)```(\w*)\n(.*?)^\2```", flags=re.M | re.S)
 
 
-def commands(path: Path) -> Iterator[list[str]]:
-    """Reads the commands in the fenced blocks of a document, in words; blocks of output have none."""
-    for _, language, block in _FENCE.findall(path.read_text(encoding="utf-8")):
+def commands(path: Path, runnable: bool = False) -> Iterator[list[str]]:
+    """Reads the commands in the fenced blocks of a document, in words; blocks of output have none.
+
+    Args:
+        path: The document.
+        runnable: Leaves out blocks that need something.
+    """
+    for need, _, language, block in _FENCE.findall(path.read_text(encoding="utf-8")):
+        if need and runnable:
+            continue
         for line in re.sub(r"\\\n\s*", " ", block).splitlines():
             if language in ("", "bash", "sh") and re.match(r"(lerobot-|make |python |accelerate )", line.strip()):
                 yield shlex.split(line, comments=True)
@@ -38,7 +46,7 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="only lists them")
     chosen = parser.parse_args()
 
-    found = [words for words in commands(chosen.document) if words[0].startswith("lerobot-")]
+    found = [words for words in commands(chosen.document, runnable=True) if words[0].startswith("lerobot-")]
     if chosen.list:
         print(*map(shlex.join, found), sep="\n")
         return

@@ -156,6 +156,10 @@ def test_a_document_is_run_from_top_to_bottom(tmp_path: Path, monkeypatch: pytes
         "```\nlerobot-buds-name \\\n    --root=none\nlerobot-buds-doctor\n```\n```python\nlerobot-x\n```\n"
     )
     assert list(in_blocks(document)) == [["lerobot-buds-name", "--root=none"], ["lerobot-buds-doctor"]]
+    needy = tmp_path / "needy.md"
+    needy.write_text("<!-- needs: a robot -->\n\n```\nlerobot-record\n```\n\n```\nlerobot-eval\n```\n")
+    assert list(in_blocks(needy)) == [["lerobot-record"], ["lerobot-eval"]]
+    assert list(in_blocks(needy, runnable=True)) == [["lerobot-eval"]]
     monkeypatch.setattr(sys, "argv", ["run_docs.py", str(document), f"--folder={tmp_path / 'here'}"])
     with pytest.raises(SystemExit) as stop:
         runpy.run_path(str(ROOT / "scripts/run_docs.py"), run_name="__main__")

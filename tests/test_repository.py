@@ -20,9 +20,9 @@ PROGRAMS = {"grep", "test", "sudo", "uv"}  # of GitHub's machines, or installed 
 
 
 def apt_packages(text: str) -> set[str]:
-    """The packages of the one `apt-get install` in a text."""
-    (line,) = re.findall(r"apt-get install ((?:--?\S+ )*)([a-z0-9 .-]+)", text)
-    return set(line[1].split())
+    """The packages that a text has `apt-get install`, every time the same."""
+    (line,) = {packages for _, packages in re.findall(r"apt-get install ((?:--?\S+ )*)([a-z0-9 .-]+)", text)}
+    return set(line.split())
 
 
 @pytest.fixture(scope="module")
