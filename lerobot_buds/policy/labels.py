@@ -157,7 +157,8 @@ class LabelTable:
         used = sorted({*(config.current_dims or []), *(config.history_dims or [])})
         if not used:
             raise ConfigError(f"pause_weight={config.pause_weight}: without proprioception nothing tells a pause.")
-        pauses = is_pause(state[:, used], self._starts, self._ends, config.pause)
+        here = [self._present[start:end].all() for start, end in zip(self._starts, self._ends, strict=True)]
+        pauses = is_pause(state[:, used], self._starts[here], self._ends[here], config.pause)
         weight[pauses] = config.pause_weight
         share = pauses.sum() / max(1, self._present.sum())
         logger.info("%.1f %% of the frames are pauses and weigh %g (pause_weight).", 100 * share, config.pause_weight)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from lerobot_buds.core import ConfigError
+from lerobot_buds.core import ACTION, STATE, ConfigError
+from lerobot_buds.data import FrameTable
 from lerobot_buds.policy.inputs import read_actions, read_inputs
 from lerobot_buds.policy.labels import Labels, LabelTable
 from lerobot_buds.policy.pauses import is_pause
@@ -68,3 +69,20 @@ def test_what_is_a_pause_is_said(dataset_root, build, caplog):
         build(pause_weight=0.5, current_state=[], history_state=[])
     with pytest.raises(ConfigError, match="pause_weight=-1"):
         build(pause_weight=-1)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "int64", "uint8"])
+def test_episodes_that_are_not_here_say_nothing_of_pauses(build, monkeypatch, caplog, dtype):
+    """Integers have no NaN: what is missing stands still in -1 or 0, for ever."""
+    config = build(skills="flat", pause_weight=0.0).config
+    moves = np.concatenate([moving([1.0] * 20 + [0.0] * 10 + [1.0] * 9 + [9.0]), np.zeros((600, 2))])
+    state = np.repeat(moves[:, :1], config.state_size, axis=1).astype(dtype)
+    state[41:] = {"f": np.nan, "i": -1, "u": 0}[state.dtype.kind]
+    starts, ends, here = np.array([0, 41]), np.array([41, 641]), np.arange(641) < 41
+    columns = {STATE: state, ACTION: np.zeros((641, 4), dtype=np.float32)}
+    table = FrameTable("nowhere", 20.0, np.array([0, 1]), starts, ends, columns, here)
+    monkeypatch.setattr("lerobot_buds.policy.labels.read_table", lambda *_: table)
+    with caplog.at_level("INFO"):
+        weights = LabelTable("nowhere", config)._frame_weight
+    assert (weights == 0).nonzero()[0].tolist() == list(range(20, 26))
+    assert "14.6 % of the frames are pauses" in caplog.text  # 6 of 41
