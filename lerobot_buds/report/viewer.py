@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_buds.core import ConfigError, FloatArray, IntArray, segments_of, write_atomically
+from lerobot_buds.core import IMAGE_PREFIX, ConfigError, FloatArray, IntArray, segments_of, write_atomically
 from lerobot_buds.segmentation.timeline import label_colors
 
 from .content import Content
@@ -43,16 +43,14 @@ def write_recording(path: Path, content: Content, name: str) -> None:
     """
     rerun = require_rerun()
 
-    def write(part: Path) -> None:
-        # A recording that is not closed before it is moved would go on writing into the old name.
-        with rerun.RecordingStream("lerobot_buds", recording_id=name) as stream:
-            stream.save(part, default_blueprint=_blueprint(content))
-            stream.send_recording_name(name)
-            _log(stream, content)
-            stream.flush()
-            stream.disconnect()
-
-    write_atomically(path, write)
+    with rerun.RecordingStream("lerobot_buds", recording_id=name) as stream:
+        # In memory: where its own files cannot be written, rerun logs that and leaves half of them.
+        memory = stream.memory_recording()
+        stream.send_blueprint(_blueprint(content))
+        stream.send_recording_name(name)
+        _log(stream, content)
+        recorded = memory.drain_as_bytes()
+    write_atomically(path, lambda part: part.write_bytes(recorded))
 
 
 def require_rerun() -> Any:
@@ -84,7 +82,7 @@ def _log(stream: Any, content: Content) -> None:
         if components is not None:
             _log_scalars(stream, f"{at}/latents", components[place], fps)
         for camera in pictures.cameras:
-            entity = f"{at}/subgoal/{camera.rpartition('.')[2]}"
+            entity = f"{at}/subgoal/{camera.removeprefix(IMAGE_PREFIX)}"
             _log_subgoals(stream, entity, content.labels[place], content.starts[place], pictures, camera, fps)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from lerobot_buds.core import ConfigError, write_atomically
+from lerobot_buds.core import IMAGE_PREFIX, ConfigError, write_atomically
 from lerobot_buds.data import AnyDataset
 
 from .inputs import DatasetInputs
@@ -42,7 +42,7 @@ def draw_reconstructions(
     decoded = network.decode(network.encode(batch).mean)
     cameras = list(representation.modalities.cameras)
     rows = [
-        (f"{name.rpartition('.')[2]}\n{kind}", images[name])
+        (f"{name.removeprefix(IMAGE_PREFIX)}\n{kind}", images[name])
         for name in cameras
         for kind, images in (("original", batch), ("from latent", decoded))
     ]

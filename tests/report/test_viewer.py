@@ -1,5 +1,6 @@
 """The recording for the rerun viewer holds what it promises, read back by rerun itself."""
 
+import resource
 import sys
 from dataclasses import replace
 from io import BytesIO
@@ -10,8 +11,8 @@ import rerun
 from PIL import Image
 from rerun.experimental import RrdReader
 
-from lerobot_buds.core import ConfigError
-from lerobot_buds.report import write_recording
+from lerobot_buds.core import ConfigError, StorageError
+from lerobot_buds.report import viewer, write_recording
 from lerobot_buds.report.viewer import COMPONENTS, principal_components
 
 
@@ -61,6 +62,38 @@ def test_what_is_recorded_of_a_dataset(recorded, tmp_path):
         assert len(blobs) == segments
         assert Image.open(BytesIO(bytes(np.ravel(blobs[0]).tolist()))).size == (32, 32)
     assert len(RrdReader(tmp_path / "skills.rrd").blueprints()) == 1
+
+
+def test_cameras_that_end_alike_stay_apart(content, tmp_path, monkeypatch):
+    class Blank:
+        cameras = ("observation.images.left.wrist", "observation.images.right.wrist", "observation.image")
+
+        def __init__(self, *_):
+            pass
+
+        def image(self, camera, index):
+            return Image.new("RGB", (8, 8))
+
+    monkeypatch.setattr(viewer, "Pictures", Blank)
+    write_recording(tmp_path / "skills.rrd", content, "me/demo")
+    goals = {name.partition("subgoal/")[2] for name in columns_of(tmp_path / "skills.rrd") if "/subgoal/" in name}
+    assert goals == {"left.wrist", "right.wrist", "observation.image"}
+
+
+@pytest.mark.parametrize("share", [0.3, 0.999])
+def test_half_a_recording_is_none(content, tmp_path, share):
+    """Where rerun writes a file itself and the disk is full, it logs that, and goes on."""
+    rerun.set_strict_mode(False)  # as people run it
+    path = tmp_path / "demo.rrd"
+    write_recording(path, content, "me/demo")
+    whole, limits = path.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(share * len(whole)), limits[1]))
+    try:
+        with pytest.raises(StorageError, match="could not be written"):
+            write_recording(path, content, "me/demo")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == whole and list(tmp_path.iterdir()) == [path]
 
 
 def test_components_are_those_of_all_demonstrations():
