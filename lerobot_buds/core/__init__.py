@@ -19,6 +19,7 @@ from .files import (
     sha256_of_file,
     sha256_of_json,
     staged_directory,
+    storage_errors,
     write_atomically,
     write_json,
 )
@@ -102,6 +103,7 @@ __all__ = [
     "sha256_of_file",
     "sha256_of_json",
     "staged_directory",
+    "storage_errors",
     "subgoals_of",
     "untried_lerobot",
     "write_atomically",

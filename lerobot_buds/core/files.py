@@ -60,6 +60,25 @@ def read_json(path: Path) -> Any:
 
 
 @contextmanager
+def storage_errors(target: Path, remedy: str) -> Iterator[None]:
+    """Says what a failure to write means, where libraries write that know nothing of errors of this package.
+
+    Args:
+        target: What is being written.
+        remedy: What is left, and what to do about it, for the message.
+
+    Raises:
+        StorageError: The block could not write; errors that say so already pass.
+    """
+    try:
+        yield
+    except StorageError:
+        raise
+    except OSError as error:
+        raise StorageError(f"{target} could not be written ({error}). {remedy}") from error
+
+
+@contextmanager
 def staged_directory(target: Path) -> Iterator[Path]:
     """Builds a directory beside `target` and renames it into place when the block ends without an error.
 

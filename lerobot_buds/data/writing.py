@@ -163,9 +163,18 @@ def write_episode(dataset: "LeRobotDataset", columns: Mapping[str, NDArray[Any]]
         dataset: A dataset that is being written.
         columns: ``(T, ...)`` array of every feature.
         task: What the episode does, in words.
+
+    Raises:
+        StorageError: A video cannot be written.
     """
     length = len(next(iter(columns.values())))
     for t in range(length):
         dataset.add_frame({name: column[t] for name, column in columns.items()} | {"task": task})
-    dataset.save_episode()
+    try:
+        dataset.save_episode()
+    except RuntimeError as error:  # what became of a thread of LeRobot's encoder
+        raise StorageError(
+            f"{dataset.root} could not be written ({error}). Make room on its disk, or see to its permissions, and run "
+            "the same command again."
+        ) from error
     return length

@@ -24,6 +24,7 @@ from lerobot_buds.core import (
     read_json,
     sha256_of_file,
     sha256_of_json,
+    storage_errors,
     write_json,
 )
 from lerobot_buds.data.checks import check_demonstrations
@@ -44,6 +45,8 @@ CHECKED_SIDE = 128
 """Side (pixels) at which frames that were read back are kept: of the default representation, their next reader."""
 
 logger = logging.getLogger(__name__)
+
+_TO_GO_ON = "What was staged is kept: make room, or see to its permissions, and run the same command again."
 
 _SAME_RATE = 1e-4
 """Rates that differ by a smaller share are one, written with more or fewer digits (29.97)."""
@@ -91,6 +94,7 @@ def import_demonstrations(plan: Import, cache_dir: Path | None = None) -> Import
     Raises:
         ConfigError: A setting cannot work, contradicts the source, or is missing because the source does not say it.
         DatasetError: The source is damaged or lacks something, the dataset exists, or another process is writing it.
+        StorageError: The disk is full, or cannot be written.
         SimulatorError: States are to be played back, but the simulator is missing or unsupported.
     """
     if plan.task is not None and not plan.task.strip():
@@ -101,14 +105,18 @@ def import_demonstrations(plan: Import, cache_dir: Path | None = None) -> Import
     with open_demonstrations(plan.source) as demonstrations:
         features, fps, tasks = _features(plan, demonstrations), _fps(plan, demonstrations), _tasks(plan, demonstrations)
         record = _record(plan, demonstrations, fps, tasks)
-        staging.mkdir(parents=True, exist_ok=True)
+        with storage_errors(plan.root, _TO_GO_ON):
+            staging.mkdir(parents=True, exist_ok=True)
         with only_writer(plan.root):
             _claim(staging, record)
             for name in tqdm(demonstrations.lengths, desc="demonstrations", unit="episode", dynamic_ncols=True):
                 if not (staging / name).exists():
-                    write_part(staging / name, plan.repo_id, fps, features, demonstrations.read(name), tasks[name])
-            warnings = _merge(staging, plan, demonstrations, record, cache_dir)
-            shutil.rmtree(staging)
+                    columns = demonstrations.read(name)
+                    with storage_errors(plan.root, _TO_GO_ON):
+                        write_part(staging / name, plan.repo_id, fps, features, columns, tasks[name])
+            with storage_errors(plan.root, _TO_GO_ON):
+                warnings = _merge(staging, plan, demonstrations, record, cache_dir)
+                shutil.rmtree(staging)
         return Imported(len(demonstrations.lengths), sum(demonstrations.lengths.values()), warnings)
 
 

@@ -38,6 +38,7 @@ from lerobot_buds.core import (
     ConfigError,
     DatasetError,
     read_json,
+    storage_errors,
     write_json,
 )
 from lerobot_buds.data.collection import RECORD_VERSION
@@ -56,6 +57,8 @@ EVALUATION_SEEDS = 100_000
 """Seeds from here on are for evaluation, never for demonstrations."""
 
 _HOPELESS_AFTER = 20
+
+_TO_GO_ON = "Attempts that are whole are kept: make room, or see to its permissions, and run the same command again."
 
 
 @dataclass(frozen=True)
@@ -118,23 +121,18 @@ def record(recording: Recording) -> Summary:
     Raises:
         ConfigError: A number is out of its range.
         DatasetError: The dataset exists, or another process is recording it.
+        StorageError: The disk is full, or cannot be written.
         BudsError: The demonstrator fails most of its attempts, or a worker process died.
     """
     began = time.monotonic()
-    if recording.root.exists():
-        raise DatasetError(f"{recording.root} exists already. Remove it or choose another --root.")
+    _require_absent(recording.root)
     _check_numbers(recording)
     staging = recording.root.with_name(f".{recording.root.name}.attempts")
-    staging.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(staging / "lock")
-    try:
-        with lock.acquire(blocking=False):
-            _claim(staging, recording)
-            with _workers(recording.workers) as pool:
-                attempts, lengths = _written(pool, staging, recording)
-            shutil.rmtree(staging)
-    except Timeout:
-        raise DatasetError(f"Another process is recording {recording.root}; wait for it to end.") from None
+    with storage_errors(recording.root, _TO_GO_ON), _alone(staging, recording.root):
+        _claim(staging, recording)
+        with _workers(recording.workers) as pool:
+            attempts, lengths = _written(pool, staging, recording)
+        shutil.rmtree(staging)
     failures = Counter(
         f"{task.name}: {a.failure}"
         for task, of_task in zip(recording.tasks, attempts, strict=True)
@@ -143,6 +141,27 @@ def record(recording: Recording) -> Summary:
     )
     seconds = time.monotonic() - began
     return Summary(len(lengths), sum(map(len, attempts)), dict(failures), sum(lengths), seconds)
+
+
+def _require_absent(root: Path) -> None:
+    if root.exists():
+        raise DatasetError(f"{root} exists already. Remove it or choose another --root.")
+
+
+@contextmanager
+def _alone(staging: Path, root: Path) -> Iterator[None]:
+    """Keeps other processes away while the dataset is made."""
+    staging.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(staging / "lock")
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:  # an OSError, too
+        raise DatasetError(f"Another process is recording {root}; wait for it to end.") from None
+    try:
+        _require_absent(root)  # it may have come while this process started
+        yield
+    finally:
+        lock.release()
 
 
 def _check_numbers(recording: Recording) -> None:

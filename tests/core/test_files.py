@@ -14,6 +14,7 @@ from lerobot_buds.core import (
     replaced_together,
     sha256_of_file,
     staged_directory,
+    storage_errors,
     write_atomically,
     write_json,
 )
@@ -121,3 +122,11 @@ def test_files_replaced_together_are_all_new_or_all_old(tmp_path: Path) -> None:
         part_of(new).write_text("after")
         assert old.read_text() == "before"
     assert old.read_text() == new.read_text() == "after" and len(list(tmp_path.rglob("*.*"))) == 2
+
+
+def test_what_libraries_cannot_write_is_said_once(tmp_path: Path) -> None:
+    with pytest.raises(StorageError) as said, storage_errors(tmp_path, "Make room."), storage_errors(tmp_path, "No."):
+        raise OSError(28, "No space left on device")
+    assert str(said.value) == f"{tmp_path} could not be written ([Errno 28] No space left on device). No."
+    with pytest.raises(DatasetError, match="as it was"), storage_errors(tmp_path, "Make room."):
+        raise DatasetError("as it was")
