@@ -22,6 +22,7 @@ from lerobot_buds.core import (
 )
 from lerobot_buds.data import (
     LocalDataset,
+    Origin,
     check_demonstrations,
     dimension_names,
     given_labels,
@@ -117,7 +118,8 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
             data = Demonstrations(latents, fused, stages, position, gripper, fps)
             results += compare(data, config.discovery, seed, methods)
         remove_leftovers(work_dir)
-        write_json(work_dir / "comparison.json", comparison_rows(results))
+        compared = Origin.of(dataset).known
+        write_json(work_dir / "comparison.json", [row | {"dataset": compared} for row in comparison_rows(results)])
         draw_comparison(work_dir / "comparison.png", results, stages, fps)
     return results
 

@@ -29,17 +29,20 @@ def make_report(config: ReportConfig) -> Path:
 
     Raises:
         ConfigError: A recording is asked for and rerun is not installed.
-        DatasetError: The dataset is damaged or incomplete, or the file of the comparison holds none.
+        DatasetError: The dataset is damaged or incomplete, or the file of the comparison holds none, or one of other
+            demonstrations.
         SegmentationError: It is not segmented, or its labels are out of step with its record.
         StorageError: The file cannot be written.
     """
+    from lerobot_buds.data import Origin
     from lerobot_buds.report import Content, require_rerun, rivals, write_recording, write_report
 
     if config.rerun is not None:
         require_rerun()
-    compared = None if config.comparison is None else rivals(config.comparison)
+    dataset = config.open()
+    compared = None if config.comparison is None else rivals(config.comparison, Origin.of(dataset))
     output = Path("outputs/report") / f"{config.repo_id}.html" if config.output is None else Path(config.output)
-    content = Content.read(config.open())
+    content = Content.read(dataset)
     write_report(output, content, config.repo_id, compared)
     if config.rerun is not None:
         write_recording(config.rerun, content, config.repo_id)

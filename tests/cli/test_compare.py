@@ -11,6 +11,7 @@ from matplotlib.image import imread
 from lerobot_buds.cli import compare
 from lerobot_buds.cli.compare import GRIP_AND_REST, CompareConfig, _methods
 from lerobot_buds.core import ConfigError, read_json
+from lerobot_buds.data import Origin
 from lerobot_buds.evaluation import METHODS
 
 SMALL = [
@@ -29,6 +30,7 @@ def test_all_methods_are_compared_on_every_seed(demonstrations, tmp_path, monkey
     rows = read_json(tmp_path / "comparison.json")
     assert [row["method"] for row in rows] == list(compare.METHODS)
     assert all(row["seeds"] == [0, 1] for row in rows)
+    assert all(row["dataset"]["content"] == Origin.of(demonstrations).content for row in rows)
     (oracle,) = [row for row in rows if row["method"] == "true stages"]
     assert oracle["boundary F1"]["low"] == 1
     assert imread(tmp_path / "comparison.png").std() > 0.1

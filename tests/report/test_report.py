@@ -12,16 +12,18 @@ import pytest
 from PIL import Image
 
 from lerobot_buds.core import DatasetError, SegmentationError, write_json
-from lerobot_buds.data import LocalDataset
+from lerobot_buds.data import LocalDataset, Origin
 from lerobot_buds.evaluation import Demonstrations, compare, comparison_rows
 from lerobot_buds.report import Content, rivals, write_report
 from lerobot_buds.report.cards import cards
 from lerobot_buds.report.demonstrations import demonstrations
 from lerobot_buds.report.pictures import BUDGET, BYTES, HEIGHT, Pictures, data_uri, middles
+from lerobot_buds.report.rivals import COLUMNS
 from lerobot_buds.report.scores import scores
 from lerobot_buds.report.writing import render, skill_colors
 from lerobot_buds.segmentation import REPRESENTATION_DIR, DiscoveryConfig
 
+ANY = Origin(None, None, None)
 HOSTILE = "</script><script>hacked = 1</script><img src=x onerror='hacked = 2'>&amp;"
 
 
@@ -78,7 +80,7 @@ def test_other_methods_stand_beside_where_they_were_compared(content, tmp_path):
     methods = ["default", "uniform", "prediction error", "true stages"]
     results = [r for seed in (0, 1) for r in compare(data, DiscoveryConfig(max_skills=2), seed, methods)]
     write_json(tmp_path / "comparison.json", comparison_rows(results))
-    compared = rivals(tmp_path / "comparison.json")
+    compared = rivals(tmp_path / "comparison.json", ANY)
     assert [row["method"] for row in compared["rows"]] == methods and compared["seeds"] == 2
     place = compared["columns"].index("boundary F1")
     default, uniform, _, oracle = (row["cells"][place] for row in compared["rows"])
@@ -95,9 +97,22 @@ def test_what_is_no_comparison_is_refused(tmp_path, text):
     path = tmp_path / "comparison.json"
     path.write_text(text)
     with pytest.raises(DatasetError, match=r"holds no comparison .*lerobot-buds-compare writes one"):
-        rivals(path)
+        rivals(path, ANY)
     with pytest.raises(DatasetError, match="FileNotFoundError"):
-        rivals(tmp_path / "missing.json")
+        rivals(tmp_path / "missing.json", ANY)
+
+
+def test_a_comparison_of_other_demonstrations_is_refused(segmented, demonstrations, tmp_path):
+    """They may be as many and as long; a segmented copy has those of its source."""
+    path, source = tmp_path / "comparison.json", Origin.of(demonstrations)
+    row = {"method": "uniform", "seeds": [0], **{name: {"mean": 0, "low": 0, "high": 0} for name in COLUMNS}}
+    write_json(path, [row | {"dataset": source.known}])
+    assert rivals(path, Origin.of(segmented))["rows"][0]["method"] == "uniform"
+    part = Origin.of(LocalDataset(segmented, chosen=(0, 1)))
+    with pytest.raises(DatasetError, match=r"on other demonstrations, those of .*with --episodes"):
+        rivals(path, part)
+    write_json(path, [row])  # of an early version
+    assert rivals(path, part)["seeds"] == 1
 
 
 def test_what_is_not_known_is_left_out(content):
