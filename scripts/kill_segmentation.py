@@ -29,7 +29,7 @@ STAGES = ("checks", "decoding", "training", "picture", "encoding", "discovery", 
 CAMERAS = ("observation.images.front", "observation.images.wrist")
 FPS = 20
 # What a pass imports on the way, beside its command: seconds in which a kill would hit no work.
-PRELOADED = ["__main__", "lerobot_buds.cli.segment", "lerobot.datasets", "torch._dynamo", "scipy.io"]
+PRELOADED = ["__main__", "lerobot_buds.cli.segmentation_pass", "lerobot.datasets", "torch._dynamo", "scipy.io"]
 LONGEST_S = 600.0
 
 

@@ -107,6 +107,30 @@ def test_importing_stays_cheap(module: str, heavy: set[str]) -> None:
     assert heavy.isdisjoint(done.stdout.split())
 
 
+HEAVY = {"av", "datasets", "h5py", "lerobot", "matplotlib", "pandas", "pyarrow", "scipy", "sklearn", "torch"}
+ANSWER = """
+import importlib, sys
+from contextlib import suppress
+for target in sys.argv[2:]:
+    module, function = target.split(":")
+    sys.argv = [target, sys.argv[1]]
+    with suppress(SystemExit):
+        getattr(importlib.import_module(module), function)()
+print("loaded", *sys.modules)
+"""
+
+
+@pytest.mark.parametrize("option", ["--help", "--hepl"])
+def test_an_answer_about_options_waits_for_nothing_heavy(option: str) -> None:
+    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
+    del scripts["lerobot-buds-rollout"]  # its settings hold LeRobot's own of an environment
+    command = [sys.executable, "-c", ANSWER, option, *scripts.values()]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    answer, _, loaded = done.stdout.rpartition("loaded ")
+    assert (answer + done.stderr).count("usage: ") == len(scripts)
+    assert HEAVY.isdisjoint(loaded.split())
+
+
 @pytest.mark.parametrize("path", MODULES)
 def test_public_code_is_documented(path: Path) -> None:
     tree = ast.parse(path.read_text())

@@ -1,4 +1,8 @@
-"""One thin module per command."""
+"""One thin module per command.
+
+It imports what its settings are made of, and what the work needs when the work begins: torch, LeRobot and scikit-learn
+take seconds, for which neither ``--help`` nor the answer to a mistyped option waits (docs/performance.md).
+"""
 
 import os
 

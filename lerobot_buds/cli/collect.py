@@ -3,14 +3,15 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lerobot_buds.core import ConfigError
-from lerobot_buds.demos.attempts import Style, attempt_in_worker
-from lerobot_buds.demos.pictures import draw_attempt
-from lerobot_buds.demos.recording import Recording, Summary, record
 from lerobot_buds.envs import EnvSettings, profile_named, tasks_named
 
 from .running import dataset_root, parse, run
+
+if TYPE_CHECKING:
+    from lerobot_buds.demos.recording import Summary
 
 
 @dataclass
@@ -54,7 +55,7 @@ class CollectConfig:
     """Folder for one contact sheet a task, of one attempt each, to look at; nothing is recorded then."""
 
 
-def collect(config: CollectConfig) -> Summary:
+def collect(config: CollectConfig) -> "Summary":
     """Records the demonstrations that the settings ask for.
 
     Raises:
@@ -62,6 +63,9 @@ def collect(config: CollectConfig) -> Summary:
         DatasetError: The dataset exists, or another process is recording it.
         BudsError: The demonstrator fails most of its attempts, or a worker process died.
     """
+    from lerobot_buds.demos.attempts import Style
+    from lerobot_buds.demos.recording import Recording, record
+
     if not config.repo_id:
         raise ConfigError("The dataset has no name; give it one, for example --repo_id=me/close_and_serve.")
     return record(
@@ -102,6 +106,9 @@ def preview(config: CollectConfig, folder: Path) -> list[Path]:
         ConfigError: A setting cannot work.
         BudsError: An attempt failed.
     """
+    from lerobot_buds.demos.attempts import Style, attempt_in_worker
+    from lerobot_buds.demos.pictures import draw_attempt
+
     pictures, style = [], Style(config.manner, config.clean_actions)
     for settings in env_settings(config):
         pictures.append(folder / f"{settings.task.replace('/', '.')}.png")

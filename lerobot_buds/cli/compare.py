@@ -3,6 +3,7 @@
 import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,29 +21,15 @@ from lerobot_buds.core import (
     remove_leftovers,
     write_json,
 )
-from lerobot_buds.data import (
-    LocalDataset,
-    Origin,
-    check_demonstrations,
-    dimension_names,
-    given_labels,
-    only_writer,
-    read_table,
-)
-from lerobot_buds.evaluation import (
-    METHODS,
-    Demonstrations,
-    Result,
-    compare,
-    comparison_rows,
-    comparison_table,
-    draw_comparison,
-)
-from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
+from lerobot_buds.representation import RepresentationConfig
 from lerobot_buds.segmentation import DiscoveryConfig
 
 from .datasets import DatasetOptions
 from .running import parse, run
+
+if TYPE_CHECKING:
+    from lerobot_buds.data import LocalDataset
+    from lerobot_buds.evaluation import Result
 
 logger = logging.getLogger(__name__)
 
@@ -83,7 +70,7 @@ class CompareConfig(DatasetOptions):
     """Settings of skill discovery, but for its seed."""
 
 
-def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
+def run_comparison(config: CompareConfig, work_dir: Path) -> "list[Result]":
     """Trains what is missing, compares all methods on all seeds and leaves the results in the working folder.
 
     Raises:
@@ -92,6 +79,10 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
             same work.
         SegmentationError: It cannot be segmented as asked.
     """
+    from lerobot_buds.data import Origin, check_demonstrations, dimension_names, given_labels, only_writer
+    from lerobot_buds.evaluation import Demonstrations, compare, comparison_rows, draw_comparison
+    from lerobot_buds.representation import encode_dataset, train_representation
+
     if config.seeds < 1:
         raise ConfigError(f"seeds={config.seeds} cannot work; it must be at least 1.")
     dataset = config.open()
@@ -126,6 +117,8 @@ def run_comparison(config: CompareConfig, work_dir: Path) -> list[Result]:
 
 def _methods(config: CompareConfig, with_signals: bool) -> list[str]:
     """Settles which methods are compared; one that lacks its signals is left out by name, or refused if asked for."""
+    from lerobot_buds.evaluation import METHODS
+
     advice = f"{GRIP_AND_REST!r} needs --position and --gripper: which dimensions of the state these are."
     if config.methods is None:
         if not with_signals:
@@ -136,8 +129,10 @@ def _methods(config: CompareConfig, with_signals: bool) -> list[str]:
     return config.methods
 
 
-def _signal(dataset: LocalDataset, patterns: list[str] | None, setting: str) -> list[FloatArray]:
+def _signal(dataset: "LocalDataset", patterns: list[str] | None, setting: str) -> list[FloatArray]:
     """Reads the dimensions of the state that match, ``(T, d)`` per demonstration, d = 0 where nobody knows them."""
+    from lerobot_buds.data import dimension_names, read_table
+
     names = dimension_names(dataset.features[STATE])
     dims = dims_used(setting, names, patterns, OURS[setting], others=())
     table = read_table(dataset, [STATE])
@@ -150,5 +145,7 @@ def main() -> None:
     config = parse(CompareConfig)
     work_dir = Path("outputs/compare") / config.repo_id if config.work_dir is None else Path(config.work_dir)
     results = run(lambda: run_comparison(config, work_dir))
+    from lerobot_buds.evaluation import comparison_table
+
     print(comparison_table(results), end="")
     print(f"Picture and figures are in {work_dir}.")

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-
-from lerobot_buds.data import LocalDataset, download_dataset
+from typing import TYPE_CHECKING
 
 from .running import dataset_root
+
+if TYPE_CHECKING:
+    from lerobot_buds.data import LocalDataset
 
 
 @dataclass
@@ -30,12 +32,14 @@ class DatasetOptions:
     video_backend: str | None = None
     """LeRobot's decoder of videos, ``torchcodec`` or ``pyav``; its default where None."""
 
-    def open(self) -> LocalDataset:
+    def open(self) -> "LocalDataset":
         """Finds the dataset on this machine, after downloading it where it is missing and has no folder given.
 
         Raises:
             DatasetError: It is not on this machine and cannot be had from the Hub, or is no LeRobotDataset.
         """
+        from lerobot_buds.data import LocalDataset, download_dataset
+
         place = dataset_root(self.repo_id, self.root)
         if self.root is None and (self.revision is not None or not (place / "meta" / "info.json").exists()):
             place = download_dataset(self.repo_id, self.revision, self.episodes)

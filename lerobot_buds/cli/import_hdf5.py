@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-
-from lerobot_buds.demos.hdf5 import Source
-from lerobot_buds.demos.importing import Import, Imported, import_demonstrations
+from typing import TYPE_CHECKING
 
 from .running import dataset_root, parse, run
+
+if TYPE_CHECKING:
+    from lerobot_buds.demos.importing import Imported
 
 
 @dataclass
@@ -72,8 +73,11 @@ class ImportConfig:
     """Stores the cameras as video, else as images."""
 
 
-def import_hdf5(config: ImportConfig) -> Imported:
+def import_hdf5(config: ImportConfig) -> "Imported":
     """Imports the demonstrations that the settings ask for."""
+    from lerobot_buds.demos.hdf5 import Source
+    from lerobot_buds.demos.importing import Import, import_demonstrations
+
     return import_demonstrations(
         Import(
             source=Source(

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_buds.core import ConfigError
-from lerobot_buds.data import download
-from lerobot_buds.segmentation import COMPANION_FILES, SegmentationRecord, join_companion
 
 from .datasets import DatasetOptions
 from .running import dataset_root, parse, run
@@ -55,6 +53,9 @@ def join(config: JoinConfig) -> Path:
         BudsError: Labels or source cannot be had, are damaged, or do not belong together; or the target exists or
             cannot be written.
     """
+    from lerobot_buds.data import download
+    from lerobot_buds.segmentation import COMPANION_FILES, SegmentationRecord, join_companion
+
     name = config.repo_id or (config.root.name if config.root else None)
     if name is None:
         raise ConfigError("Which labels? Give their repository with --repo_id, or their folder with --root.")

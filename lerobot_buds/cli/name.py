@@ -4,16 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_buds.core import NAMES_FILE, ConfigError
-from lerobot_buds.data import LocalDataset
-from lerobot_buds.segmentation import (
-    SegmentationRecord,
-    automatic_names,
-    names_of,
-    read_names,
-    write_card,
-    write_names,
-    write_subtasks,
-)
 
 from .running import dataset_root, parse, run
 
@@ -48,6 +38,17 @@ def name_skills(config: NameConfig) -> tuple[Path, bool]:
         DatasetError: The dataset is damaged or incomplete, or another process is writing it.
         StorageError: It cannot be written; it is as it was.
     """
+    from lerobot_buds.data import LocalDataset
+    from lerobot_buds.segmentation import (
+        SegmentationRecord,
+        automatic_names,
+        names_of,
+        read_names,
+        write_card,
+        write_names,
+        write_subtasks,
+    )
+
     if config.root is None and config.repo_id is None:
         raise ConfigError("Which dataset? Give its folder with --root, or its name with --repo_id.")
     root = dataset_root(config.repo_id or "", config.root)

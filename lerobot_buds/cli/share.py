@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_buds.core import SEGMENTATION_FILE, ConfigError
-from lerobot_buds.representation import REPRESENTATION_FILES, Representation
-from lerobot_buds.segmentation import share_dataset, share_labels, write_companion
 
 from .running import parse, run
 
@@ -55,6 +53,9 @@ def share(config: ShareConfig) -> str:
         ConfigError: There is nothing to share, or a setting does not go with it.
         BudsError: It is damaged, or the repository may not be written or cannot be reached.
     """
+    from lerobot_buds.representation import REPRESENTATION_FILES, Representation
+    from lerobot_buds.segmentation import share_dataset
+
     if not config.root.is_dir():
         raise ConfigError(f"{config.root} is no folder on this machine: there is nothing to share.")
     root, target = config.root, (config.repo_id, config.private, config.branch)
@@ -77,6 +78,8 @@ def share(config: ShareConfig) -> str:
 
 
 def _share_labels(config: ShareConfig) -> str:
+    from lerobot_buds.segmentation import share_labels, write_companion
+
     folder = config.output_root or Path("outputs/labels").absolute() / config.repo_id
     write_companion(config.root, folder, config.repo_id, config.representation)
     if not config.push_to_hub:

@@ -10,6 +10,7 @@ from .errors import (
     StorageError,
     near_names,
 )
+from .exports import on_demand
 from .files import (
     DISTRIBUTION,
     read_json,
@@ -93,6 +94,7 @@ __all__ = [
     "labels_of",
     "lengths_by_label",
     "near_names",
+    "on_demand",
     "read_json",
     "refuse_newer",
     "remove_leftovers",

@@ -1,14 +1,15 @@
 """Settings of skill discovery for users: durations in seconds, and presets that follow the paper or the release."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from lerobot_buds.core import ConfigError, frames_of_seconds, near_names
 
-from .cuts import CUTS
-from .discovery import SkillDiscovery
 from .temporal import Search
 from .tree import Feature
+
+if TYPE_CHECKING:
+    from .discovery import SkillDiscovery
 
 TREE = "tree"
 
@@ -84,12 +85,15 @@ class DiscoveryConfig:
     seed: int = 0
     """Seed of the clustering. Ours; the release is not seeded."""
 
-    def build(self, fps: float) -> SkillDiscovery:
+    def build(self, fps: float) -> "SkillDiscovery":
         """Makes the estimator for a frame rate (frames per second).
 
         Raises:
             ConfigError: There is no such `cut`.
         """
+        from .cuts import CUTS  # imports scikit-learn, as the next does: settings are read without
+        from .discovery import SkillDiscovery
+
         if self.cut != TREE and self.cut not in CUTS:
             known = near_names(self.cut, (TREE, *CUTS))
             raise ConfigError(f"There is no way {self.cut!r} to cut demonstrations. {known}")
@@ -117,7 +121,7 @@ class DiscoveryConfig:
             random_state=self.seed,
         )
 
-    def settled(self, found: SkillDiscovery, fps: float) -> Self:
+    def settled(self, found: "SkillDiscovery", fps: float) -> Self:
         """Makes settings with the number and durations that a discovery worked with, for further demonstrations.
 
         Args:

@@ -28,13 +28,13 @@ def run(monkeypatch, *arguments):
 def test_all_methods_are_compared_on_every_seed(demonstrations, tmp_path, monkeypatch, capsys):
     run(monkeypatch, "--repo_id=tests/demos", f"--root={demonstrations}", f"--work_dir={tmp_path}", *SMALL)
     rows = read_json(tmp_path / "comparison.json")
-    assert [row["method"] for row in rows] == list(compare.METHODS)
+    assert [row["method"] for row in rows] == list(METHODS)
     assert all(row["seeds"] == [0, 1] for row in rows)
     assert all(row["dataset"]["content"] == Origin.of(demonstrations).content for row in rows)
     (oracle,) = [row for row in rows if row["method"] == "true stages"]
     assert oracle["boundary F1"]["low"] == 1
     assert imread(tmp_path / "comparison.png").std() > 0.1
-    assert capsys.readouterr().out.count("\n| ") == 2 * len(compare.METHODS) + 1
+    assert capsys.readouterr().out.count("\n| ") == 2 * len(METHODS) + 1
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from lerobot.datasets import LeRobotDataset
 
-from lerobot_buds.cli import segment
+from lerobot_buds.cli import segment, segmentation_pass
 from lerobot_buds.core import (
     ACTION,
     EYE_IN_HAND_CAMERA,
@@ -19,6 +19,7 @@ from lerobot_buds.core import (
     SUBGOAL_INDEX,
     TRUE_STAGE,
     WORKSPACE_CAMERA,
+    ConfigError,
     read_json,
     sha256_of_file,
     subgoals_of,
@@ -120,14 +121,14 @@ def test_the_copy_is_labelled_and_otherwise_the_same(source, passes):
 def test_a_finished_pass_is_not_repeated_over_its_output(source, passes):
     folders, *_ = passes
     before = files(folders[0])
-    with pytest.raises(segment.ConfigError, match="subgoal_horizon_s=0"):
+    with pytest.raises(ConfigError, match="subgoal_horizon_s=0"):
         segment.segment(segment.SegmentConfig("tests/plain", root=str(source), subgoal_horizon_s=0))
     assert files(folders[0]) == before
 
 
 def test_a_finished_representation_is_used_as_it_is(source, passes, tmp_path, monkeypatch):
     folders, (record, _), *_ = passes
-    monkeypatch.setattr(segment, "train_representation", None)
+    monkeypatch.setattr(segmentation_pass, "train_representation", None)
     config = replace(
         settings(source, tmp_path),
         representation=RepresentationConfig(),
@@ -140,7 +141,7 @@ def test_a_finished_representation_is_used_as_it_is(source, passes, tmp_path, mo
 def test_of_several_processes_the_first_alone_goes_on_after_training(source, passes, tmp_path, monkeypatch):
     folders, *_ = passes
     config = replace(settings(source, tmp_path), work_dir=str(folders[0] / "work"))
-    monkeypatch.setattr(segment, "is_main_process", lambda _: False)
+    monkeypatch.setattr(segmentation_pass, "is_main_process", lambda _: False)
     assert segment.segment(config) is None and not (tmp_path / "skills").exists()
 
 
