@@ -40,7 +40,8 @@ def parse[T](settings: type[T]) -> T:
 
 def run[T](command: Callable[[], T]) -> T:
     """Runs a command's work; an expected error ends the program with its message alone and status 1."""
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
+    logging.basicConfig(format="%(levelname)s %(message)s")
+    logging.getLogger("lerobot_buds").setLevel(logging.INFO)  # not the requests of every library below
     try:
         return command()
     except BudsError as error:

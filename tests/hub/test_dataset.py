@@ -99,5 +99,6 @@ def test_a_command_ends_in_one_line_for_a_name_that_does_not_exist(hub, module: 
     options = ["--repo_id=me/tpyo", f"--work_dir={tmp_path}"]
     done = hub.run(COMMAND, module, *options, HF_HUB_OFFLINE=offline)
     assert done.returncode == 1
-    (line,) = done.stderr.strip().splitlines()
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    line = done.stderr.strip()
     assert line.startswith("error: 'me/tpyo' is ") and ("unset HF_HUB_OFFLINE" in line) == (offline == "1")
