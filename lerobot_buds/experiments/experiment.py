@@ -175,18 +175,8 @@ class Experiment:
             ConfigError: It cannot be read, or has settings that are unknown.
         """
         content = _read(path)
-        unknown = set(content) - {
-            "title",
-            "about",
-            "recipe",
-            "rows",
-            "methods",
-            "published",
-            "failures",
-            "reference",
-            "short",
-        }
-        if absent := {"title", "rows", "methods", "reference"} - set(content):
+        unknown = set(content) - _NEEDED - _OPTIONAL
+        if absent := _NEEDED - set(content):
             raise ConfigError(f"{path}: there is no {sorted(absent)}.")
         if unknown:
             raise ConfigError(f"{path}: {sorted(unknown)} are unknown.")

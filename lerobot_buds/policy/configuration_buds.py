@@ -250,6 +250,11 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
         return sum(int(self.image_features[camera].shape[0]) for camera in shown)
 
     @property
+    def felt_dims(self) -> list[int]:
+        """Dimensions of the state that are read at all, now or before now."""
+        return sorted({*(self.current_dims or []), *(self.history_dims or [])})
+
+    @property
     def proprio_size(self) -> int:
         """Dimensions of a skill's proprioception: the current state and the gripper history."""
         return len(self.current_dims or []) + len(self.history_dims or []) * self.history_frames

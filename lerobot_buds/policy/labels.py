@@ -144,7 +144,7 @@ class LabelTable:
         self._frame_weight = self._weigh_pauses(state)
 
     def _require_finite_state(self, table: FrameTable, state: NDArray[Any]) -> None:
-        used = sorted({*(self.config.current_dims or []), *(self.config.history_dims or [])})
+        used = self.config.felt_dims
         names = self.config.state_names or [str(d) for d in range(state.shape[1])]
         if used:
             columns = {STATE: state[:, used].astype(np.float32)}
@@ -154,7 +154,7 @@ class LabelTable:
         config, weight = self.config, np.ones(len(state), dtype=np.float32)
         if config.pause_weight == 1:
             return weight
-        used = sorted({*(config.current_dims or []), *(config.history_dims or [])})
+        used = config.felt_dims
         if not used:
             raise ConfigError(f"pause_weight={config.pause_weight}: without proprioception nothing tells a pause.")
         here = [self._present[start:end].all() for start, end in zip(self._starts, self._ends, strict=True)]

@@ -4,7 +4,6 @@ import resource
 import shutil
 from collections import namedtuple
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -21,17 +20,6 @@ from lerobot_buds.segmentation import load_labels
 @pytest.fixture(scope="module")
 def source(make_dataset, tmp_path_factory):
     return make_dataset(tmp_path_factory.mktemp("refusals") / "source")
-
-
-@contextmanager
-def largest_file(size: int):
-    """Lets writes beyond a size (bytes) fail, as on a disk that is full."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +70,7 @@ def test_a_disk_too_small_for_the_copy(source, refused, monkeypatch):
     assert "bytes, but its disk has only 1 free" in refused(source, DatasetError)
 
 
-def test_a_disk_that_fills_up_at_any_stage(make_dataset, settings, hashes, tmp_path):
+def test_a_disk_that_fills_up_at_any_stage(make_dataset, settings, hashes, largest_file, tmp_path):
     """Frames take 42 kB, the representation's weights under way 2.2 MB and at the end 750 kB, the picture 30 kB."""
     source = make_dataset(tmp_path / "source", lengths=(31, 25))  # its frames are in no cache yet
     before, failed = hashes(source), []

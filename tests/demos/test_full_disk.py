@@ -1,8 +1,5 @@
 """A disk that is full is said in one sentence, by whatever writes: LeRobot's encoder, Arrow, or ourselves."""
 
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,31 +20,20 @@ CAMERA = "observation.images.front"
 LENGTH = 40
 
 
-@contextmanager
-def no_file_beyond(size: int) -> Iterator[None]:
-    """No file of this process grows beyond so many bytes, as on a disk that is full; Python ignores the signal."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
 def noise(length: int, size: int = 64) -> np.ndarray:
     return np.random.default_rng(0).integers(0, 256, (length, size, size, 3), dtype=np.uint8)
 
 
 @pytest.mark.parametrize("limit", [5_000, 60_000])
-def test_a_video_that_cannot_be_written(tmp_path: Path, limit: int) -> None:
+def test_a_video_that_cannot_be_written(tmp_path: Path, limit: int, largest_file) -> None:
     features = {CAMERA: camera_feature((64, 64, 3), video=True), "action": vector_feature(["x"])}
     columns = {CAMERA: noise(LENGTH), "action": np.zeros((LENGTH, 1), dtype=np.float32)}
-    with no_file_beyond(limit), pytest.raises(StorageError, match=r"Make room on its disk.*run the same command again"):
+    with largest_file(limit), pytest.raises(StorageError, match=r"Make room on its disk.*run the same command again"):
         write_part(tmp_path / "part", "tests/full", 20, features, columns, "lift")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_import_that_does_not_fit_goes_on_once_there_is_room(tmp_path: Path) -> None:
+def test_an_import_that_does_not_fit_goes_on_once_there_is_room(tmp_path: Path, largest_file) -> None:
     with h5py.File(tmp_path / "demo.hdf5", "w") as file:
         for number in range(2):
             group = file.create_group(f"data/demo_{number}")
@@ -56,9 +42,9 @@ def test_an_import_that_does_not_fit_goes_on_once_there_is_room(tmp_path: Path) 
     source = Source(tmp_path / "demo.hdf5", cameras={CAMERA: "agentview_image"}, state=[])
     plan = Import(source, "tests/full", tmp_path / "out", task="lift", fps=20, video=False)
     said = r"out could not be written \(.*What was staged is kept: make room"
-    with no_file_beyond(200_000), pytest.raises(StorageError, match=said):
+    with largest_file(200_000), pytest.raises(StorageError, match=said):
         import_demonstrations(plan, tmp_path / "cache")  # while a part is written
-    with no_file_beyond(700_000), pytest.raises(StorageError, match=said):
+    with largest_file(700_000), pytest.raises(StorageError, match=said):
         import_demonstrations(plan, tmp_path / "cache")  # while parts are joined: two of 0.5 MB
     assert not plan.root.exists()
     assert import_demonstrations(plan, tmp_path / "cache").frames == 2 * LENGTH

@@ -1,6 +1,5 @@
 """The recording for the rerun viewer holds what it promises, read back by rerun itself."""
 
-import resource
 import sys
 from dataclasses import replace
 from io import BytesIO
@@ -81,18 +80,14 @@ def test_cameras_that_end_alike_stay_apart(content, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("share", [0.3, 0.999])
-def test_half_a_recording_is_none(content, tmp_path, share):
+def test_half_a_recording_is_none(content, tmp_path, largest_file, share):
     """Where rerun writes a file itself and the disk is full, it logs that, and goes on."""
     rerun.set_strict_mode(False)  # as people run it
     path = tmp_path / "demo.rrd"
     write_recording(path, content, "me/demo")
-    whole, limits = path.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (int(share * len(whole)), limits[1]))
-    try:
-        with pytest.raises(StorageError, match="could not be written"):
-            write_recording(path, content, "me/demo")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    whole = path.read_bytes()
+    with largest_file(int(share * len(whole))), pytest.raises(StorageError, match="could not be written"):
+        write_recording(path, content, "me/demo")
     assert path.read_bytes() == whole and list(tmp_path.iterdir()) == [path]
 
 
