@@ -19,9 +19,9 @@ from lerobot_buds.core import (
     SEGMENTATION_FILE,
     TIMELINE_FILE,
     SegmentationError,
-    StorageError,
     remove_leftovers,
     staged_directory,
+    storage_errors,
     subgoals_of,
 )
 
@@ -61,19 +61,16 @@ def write_companion(root: Path, target: Path, repo_id: str, representation: bool
     if target.exists():
         raise SegmentationError(f"{target} exists already; remove it, or choose another folder.")
     kept = [NAMES_FILE, *([EXEMPLARS_FILE, REPRESENTATION_DIR] if representation else [])]
-    try:
-        with only_writer(target):
-            remove_leftovers(target.parent, target.name)
-            with staged_directory(target) as staging:
-                record.write(staging)
-                for place in kept:
-                    _copy(root / place, staging / place)
-                _write_table(staging / LABELS_FILE, record)
-                write_card(staging, repo_id, labels_only=True)
-        size = sum(path.stat().st_size for path in target.rglob("*") if path.is_file())
-        logger.info("Wrote %s, %.1f kB without recordings.", target, size / 1000)
-    except OSError as error:
-        raise StorageError(f"{target} could not be written ({error}); nothing was left behind.") from error
+    with storage_errors(target, "Nothing was left behind."), only_writer(target):
+        remove_leftovers(target.parent, target.name)
+        with staged_directory(target) as staging:
+            record.write(staging)
+            for place in kept:
+                _copy(root / place, staging / place)
+            _write_table(staging / LABELS_FILE, record)
+            write_card(staging, repo_id, labels_only=True)
+    size = sum(path.stat().st_size for path in target.rglob("*") if path.is_file())
+    logger.info("Wrote %s, %.1f kB without recordings.", target, size / 1000)
 
 
 def join_companion(
