@@ -1,5 +1,6 @@
 """Keeps every test off the Hub and out of the user's folders; records the demonstrations that several tests read."""
 
+import logging
 import os
 import resource
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +22,12 @@ os.environ["HF_LEROBOT_HOME"] = _HOME.name
 os.environ["HF_HUB_OFFLINE"] = "1"
 os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # tiny tensors: threads would only wait for one another
+
+
+@pytest.fixture(autouse=True)
+def quiet() -> None:
+    """Commands show this package's news; a test that reads the log sees what it asked for, whatever ran before it."""
+    logging.getLogger("lerobot_buds").setLevel(logging.NOTSET)
 
 
 @pytest.fixture
