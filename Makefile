@@ -4,10 +4,10 @@ READY := .venv/.ready
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo reproduce test lint docs readme doctor
+.PHONY: help setup demo reproduce test test-fast lint docs readme doctor
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 16
 
 setup: ## install everything into .venv (and system packages, as root on Debian)
 	scripts/setup.sh
@@ -21,8 +21,14 @@ JOBS ?= 2
 reproduce: $(READY) ## run a table of the paper: TABLE=1 to 4, SIZE=smoke, cpu, gpu or paper, JOBS=2
 	$(BIN)/python scripts/reproduce.py --experiments='[table$(TABLE)]' --size=$(SIZE) --jobs=$(JOBS)
 
-test: $(READY) ## run all tests
-	$(BIN)/python -m pytest
+# Files, not tests, go to the processes: those of a file share what they record and train.
+TEST := $(BIN)/python -m pytest --numprocesses=auto --dist=loadfile
+
+test: $(READY) ## run all tests, on all cores
+	$(TEST)
+
+test-fast: $(READY) ## run the tests that neither simulate for long nor train
+	$(TEST) -m "not slow"
 
 lint: $(READY) ## check style, types and import directions
 	$(BIN)/ruff check .

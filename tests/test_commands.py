@@ -15,6 +15,8 @@ from pathlib import Path
 import draccus
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*.md")])
 OURS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]

@@ -24,6 +24,8 @@ from lerobot_buds.data import LocalDataset
 from lerobot_buds.envs import TASKS
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
+pytestmark = pytest.mark.slow
+
 SMALL_POLICY = [
     "--policy.type=buds",
     "--policy.device=cpu",

@@ -14,6 +14,8 @@ import pytest
 from packaging.tags import sys_tags
 from packaging.utils import parse_wheel_filename
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 SOURCES = [*sorted((ROOT / "lerobot_buds").rglob("*.py")), ROOT / "lerobot_policy_buds.py"]
 MODULES = [pytest.param(path, id=str(path.relative_to(ROOT))) for path in SOURCES]

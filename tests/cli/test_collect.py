@@ -10,6 +10,8 @@ from matplotlib.image import imread
 
 from lerobot_buds.cli import collect
 
+pytestmark = pytest.mark.slow
+
 CHECKOUT = Path(__file__).parents[2]
 
 

@@ -8,6 +8,8 @@ from lerobot_buds.cli.segment import segment
 from lerobot_buds.core import ACTION, SKILL_ID, STATE, SUBGOAL_INDEX, DatasetError, subgoals_of
 from lerobot_buds.segmentation import load_labels
 
+pytestmark = pytest.mark.slow
+
 FRONT = "observation.images.front"
 ROBOT = "observation.images.cam_high", "observation.images.cam_left_wrist", "observation.images.cam_right_wrist"
 ARMS = [f"{side}_{joint}" for side in ("left", "right") for joint in range(7)]

@@ -14,6 +14,8 @@ from lerobot_buds.cli.segment import SegmentConfig, segment
 from lerobot_buds.core import NAMES_FILE, ConfigError, DatasetError, SegmentationError, read_json
 from lerobot_buds.segmentation import SegmentationRecord, SkillModel, load_labels, names_of, write_segmented_dataset
 
+pytestmark = pytest.mark.slow
+
 LENGTHS = (30, 24)
 SUBTASKS = [[(0.0, "reach"), (0.75, "pull"), (1.2, "reach")], [(0.0, "reach"), (0.6, "<i>let go</i>")]]
 LABELS = [np.repeat([0, 1, 0], [15, 9, 6]), np.repeat([0, 2], [12, 12])]

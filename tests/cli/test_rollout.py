@@ -15,6 +15,8 @@ from lerobot_buds.core import CheckpointError, ConfigError, DatasetError, read_j
 from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
 from lerobot_buds.evaluation.trace import RolloutRecord
 
+pytestmark = pytest.mark.slow
+
 STEPS = 12
 ENV = {"episode_length": STEPS, "image_size": 32, "render_profile": "fastest"}
 

@@ -28,6 +28,8 @@ from lerobot_buds.data import read_table
 from lerobot_buds.representation import RepresentationConfig
 from lerobot_buds.segmentation import DiscoveryConfig
 
+pytestmark = pytest.mark.slow
+
 FPS = 20
 STATE_NAMES = ["joint_1.pos", "gripper_left.pos", "eef_x.pos", "eef_y.pos"]
 LENGTHS = ((40, 30), (35, 45))

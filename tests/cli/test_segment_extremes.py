@@ -12,6 +12,8 @@ from lerobot_buds.core import ACTION, STATE
 from lerobot_buds.representation import Representation, encode_dataset
 from lerobot_buds.segmentation import load_labels
 
+pytestmark = pytest.mark.slow
+
 FRONT = "observation.images.front"
 WINDOW = 5  # frames: a quarter of a second at 20 frames per second
 

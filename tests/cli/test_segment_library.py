@@ -15,6 +15,8 @@ from lerobot_buds.cli.segment import segment
 from lerobot_buds.core import EXEMPLARS_FILE, SEGMENTATION_FILE, CheckpointError, ConfigError, SegmentationError
 from lerobot_buds.segmentation import SegmentationRecord, SkillModel, discover_skills, load_labels, read_library
 
+pytestmark = pytest.mark.slow
+
 SMALL = {"representation": {"steps": 60}, "discovery": {"max_skills": 2}}
 
 

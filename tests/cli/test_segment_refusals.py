@@ -16,6 +16,8 @@ from lerobot_buds.data import only_writer
 from lerobot_buds.data.writing import camera_feature, create_dataset, vector_feature, write_episode
 from lerobot_buds.segmentation import load_labels
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def source(make_dataset, tmp_path_factory):

@@ -16,6 +16,8 @@ from lerobot_buds.core import DatasetError, StorageError
 from lerobot_buds.data import EpisodeArray, cached_frames, frames_key
 from lerobot_buds.data import frames as frames_module
 
+pytestmark = pytest.mark.slow
+
 FRONT = "observation.images.front"
 WRIST = "observation.images.wrist"
 

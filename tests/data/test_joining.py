@@ -18,6 +18,8 @@ from lerobot_buds.data.joining import join_parts
 from lerobot_buds.data.parts import write_part
 from lerobot_buds.data.writing import camera_feature, create_dataset, vector_feature, write_episode
 
+pytestmark = pytest.mark.slow
+
 CAMERAS = ("observation.images.front", "observation.images.hand")
 LENGTHS, TASKS = (7, 12, 5, 9), ("lift", "stack", "lift", "lift")
 

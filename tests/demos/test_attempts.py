@@ -6,6 +6,8 @@ import pytest
 from lerobot_buds.demos.attempts import STEPS_AFTER_SUCCESS, attempt
 from lerobot_buds.envs import EnvSettings, RobosuiteEnv
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = EnvSettings("multitask_kitchen/task3_variant1", None, 16, "fastest")
 SEEDS = range(40, 45)
 

@@ -7,6 +7,8 @@ from lerobot_buds.demos.attempts import STEPS_AFTER_SUCCESS, attempt
 from lerobot_buds.demos.stages import STAGES
 from lerobot_buds.envs import TASKS, EnvSettings, RobosuiteEnv
 
+pytestmark = pytest.mark.slow
+
 
 def test_every_stage_of_every_task_is_known() -> None:
     assert {stage for task in TASKS.values() for stage in task.stages} <= set(STAGES)

@@ -17,6 +17,8 @@ from lerobot_buds.demos.hdf5 import Source, open_demonstrations
 from lerobot_buds.demos.importing import Import, Imported, import_demonstrations
 from lerobot_buds.envs import ACTION_NAMES, STATE_NAMES
 
+pytestmark = pytest.mark.slow
+
 WORKSPACE, EYE_IN_HAND = "observation.images.agentview", "observation.images.eye_in_hand"
 LENGTHS = {0: 5, 1: 7, 2: 4, 10: 6}  # 10 sorts before 2 as text
 SIZE = 64

@@ -10,6 +10,8 @@ from lerobot_buds.demos.attempts import attempt
 from lerobot_buds.demos.orders import draw_order
 from lerobot_buds.envs import TASKS, EnvSettings, RobosuiteEnv, Task, tasks_named
 
+pytestmark = pytest.mark.slow
+
 KITCHENS = [task.name for task in tasks_named("kitchen,multitask_kitchen,real_kitchen")]
 
 

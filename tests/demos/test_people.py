@@ -17,6 +17,8 @@ from lerobot_buds.demos.tool_use import hook_cube, pull_cube
 from lerobot_buds.demos.vocabulary import grasp, lift, persist, pick, push, release, up
 from lerobot_buds.envs import EnvSettings, RobosuiteEnv
 
+pytestmark = pytest.mark.slow
+
 Vec = NDArray[np.float64]
 _TOOL = np.array([0.08, 0.0, 0.0])  # from the hand to the tool that it holds
 

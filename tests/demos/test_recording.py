@@ -31,6 +31,8 @@ from lerobot_buds.demos.attempts import Style
 from lerobot_buds.demos.recording import Recording, record
 from lerobot_buds.envs import ACTION_NAMES, STATE_NAMES, TASKS, EnvSettings
 
+pytestmark = pytest.mark.slow
+
 CHECKOUT = Path(__file__).parents[2]
 COLLECT = "from lerobot_buds.cli.collect import main; main()"
 LIKE_DEMONSTRATIONS = ["--repo_id=tests/demos", "--episodes=4", "--image_size=32", "--render_profile=fastest"]

@@ -17,6 +17,8 @@ from lerobot_buds.demos.hdf5 import Source, open_demonstrations
 from lerobot_buds.demos.importing import Import, import_demonstrations
 from lerobot_buds.envs import STATE_NAMES
 
+pytestmark = pytest.mark.slow
+
 T, SIZE = 6, 32
 ASSETS = Path(robosuite.__file__).parent / "models" / "assets"
 

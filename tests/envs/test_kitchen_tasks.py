@@ -9,6 +9,8 @@ import pytest
 from lerobot_buds.envs import TASKS, tasks_named
 from lerobot_buds.envs.loading import open_simulation
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from lerobot_buds.envs.simulation.tabletop import TabletopEnv
 

@@ -8,6 +8,8 @@ import pytest
 from lerobot_buds.envs import TASKS, EnvSettings, RobosuiteEnv
 from lerobot_buds.envs.configuration_robosuite import RobosuiteEnvConfig
 
+pytestmark = pytest.mark.slow
+
 IN_POT = "cube_touches_pot"
 
 

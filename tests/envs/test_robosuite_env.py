@@ -7,6 +7,8 @@ from gymnasium.utils.env_checker import check_env
 from lerobot_buds.core import ConfigError, SimulatorError
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, PROFILES, STATE_NAMES, EnvSettings, RobosuiteEnv
 
+pytestmark = pytest.mark.slow
+
 NOTHING = np.zeros(4, np.float32)
 
 

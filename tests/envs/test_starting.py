@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 DOCTOR = """
 from lerobot_buds.cli.doctor import check_rendering, this_installation
 finding = check_rendering(this_installation())

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from lerobot_buds.envs import STOCK_TASKS, EnvSettings, RobosuiteEnv
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("task", ["Lift", "Stack", "NutAssemblySquare", "PickPlaceCan", "Door"])
 def test_a_seed_decides_the_start_and_the_global_generator_stays_alone(task):

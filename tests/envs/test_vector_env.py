@@ -10,6 +10,8 @@ import pytest
 from lerobot_buds.core import SimulatorError
 from lerobot_buds.envs import TASKS, EpisodeVectorEnv
 
+pytestmark = pytest.mark.slow
+
 SEEDS = [21, 22]
 LIMIT = 6
 

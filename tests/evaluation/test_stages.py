@@ -7,6 +7,8 @@ from lerobot_buds.demos.attempts import STEPS_AFTER_SUCCESS, attempt
 from lerobot_buds.envs import STAGE_FACTS, TASKS, EnvSettings, RobosuiteEnv, Task
 from lerobot_buds.evaluation.trace import StageProgress
 
+pytestmark = pytest.mark.slow
+
 
 class WatchedEnv(RobosuiteEnv):
     """Keeps what it says of the stages, from the reset on."""

@@ -12,6 +12,8 @@ import pytest
 from lerobot_buds.core import SegmentationError
 from lerobot_buds.segmentation import SegmentationRecord, load_labels
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 NOTEBOOK = EXAMPLES / "1_segment.ipynb"

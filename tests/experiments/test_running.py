@@ -14,6 +14,8 @@ import pytest
 from lerobot_buds.core import ConfigError, read_json
 from lerobot_buds.experiments import Stage, StageError, Workplace, local_launcher, run_stages, submitit_launcher
 
+pytestmark = pytest.mark.slow
+
 PROGRAM = """\
 import sys, time
 from pathlib import Path

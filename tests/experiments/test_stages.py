@@ -13,6 +13,8 @@ from lerobot_buds.cli.rollout import RolloutConfig
 from lerobot_buds.cli.segment import SegmentConfig
 from lerobot_buds.experiments import Cell, Experiment, Run, Size, plan
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"
 CPU, PAPER = (Size.read(CONFIGS / f"experiments/sizes/{name}.yaml") for name in ("cpu", "paper"))

@@ -3,9 +3,13 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from lerobot_buds.core import Segment, write_json
 from lerobot_buds.evaluation.ribbon import draw_ribbons
 from lerobot_buds.evaluation.trace import Decision, Episode, RolloutRecord
+
+pytestmark = pytest.mark.slow
 
 COMMAND = """
 import sys

@@ -9,6 +9,8 @@ import pytest
 from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE
 from lerobot_buds.data.writing import camera_feature, create_dataset, vector_feature, write_episode
 
+pytestmark = pytest.mark.slow
+
 EPISODES, SHAPE, FRONT = 2, (32, 32, 3), f"{IMAGE_PREFIX}front"
 PULL = """
 import json, sys

@@ -10,6 +10,8 @@ from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE
 from lerobot_buds.data.writing import camera_feature, create_dataset, vector_feature, write_episode
 from lerobot_buds.segmentation import SegmentationRecord, write_companion, write_segmented_dataset
 
+pytestmark = pytest.mark.slow
+
 CAMERA = f"{IMAGE_PREFIX}front"
 COMMAND = """
 import sys

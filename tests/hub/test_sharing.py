@@ -7,6 +7,8 @@ import pytest
 
 from lerobot_buds.core import SEGMENTATION_FILE, SKILL_ID, SUBGOAL_INDEX, read_json
 
+pytestmark = pytest.mark.slow
+
 RUN = """
 import json, runpy, sys
 from importlib import import_module

@@ -13,6 +13,8 @@ from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.actions import REACH, ActionCoding, ActionRange, choose_coding
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
+pytestmark = pytest.mark.slow
+
 DEGREES = ["pan", "lift", "gripper"]
 
 

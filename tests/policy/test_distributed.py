@@ -15,6 +15,8 @@ import torch
 from lerobot.scripts import lerobot_train
 from safetensors.torch import load_file
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 STEPS = 36
 LAST = 12

@@ -17,6 +17,8 @@ from lerobot_buds.policy.inputs import read_actions, read_inputs
 from lerobot_buds.policy.labels import Labels
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
+pytestmark = pytest.mark.slow
+
 WATCHED = 3
 
 

@@ -8,6 +8,8 @@ from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.meta_controller import MetaControllers, Situation
 from lerobot_buds.policy.model import spread_within
 
+pytestmark = pytest.mark.slow
+
 PIXELS, BATCH = 32, 64
 
 

@@ -14,6 +14,8 @@ from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.inputs import read_actions, read_inputs
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def robot(record_robot, small, tmp_path):

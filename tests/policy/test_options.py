@@ -14,6 +14,8 @@ from lerobot_buds.policy.labels import Labels
 from lerobot_buds.policy.meta_controller import Situation
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
+pytestmark = pytest.mark.slow
+
 OPTIONS = [
     {},
     {"skills": "flat"},

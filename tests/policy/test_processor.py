@@ -11,6 +11,8 @@ from lerobot.policies import make_pre_post_processors
 from lerobot_buds.core import DatasetError
 from lerobot_buds.policy.labels import PREFIX, Labels
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def raw(dataset_root):

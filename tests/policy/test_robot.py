@@ -16,6 +16,8 @@ from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE, CheckpointError, Conf
 from lerobot_buds.policy import BudsConfig
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
+pytestmark = pytest.mark.slow
+
 PLUGIN = "lerobot_robot_simulated"
 STEPS = 17
 

@@ -8,6 +8,8 @@ import torch
 from lerobot_buds.core import STATE, WORKSPACE_CAMERA, CheckpointError, ConfigError
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
+pytestmark = pytest.mark.slow
+
 PERIOD = 5
 
 

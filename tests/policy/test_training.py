@@ -11,6 +11,8 @@ from safetensors.torch import load_file
 from lerobot_buds.core import TRUE_STAGE, ConfigError
 from lerobot_buds.policy.modeling_buds import BudsPolicy
 
+pytestmark = pytest.mark.slow
+
 CONFIGS = Path(__file__).parents[2] / "configs"
 LABEL_COLUMNS = {"skill_id", "subgoal_index", "frame_index", TRUE_STAGE}
 

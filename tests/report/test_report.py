@@ -23,6 +23,8 @@ from lerobot_buds.report.scores import scores
 from lerobot_buds.report.writing import render, skill_colors
 from lerobot_buds.segmentation import REPRESENTATION_DIR, DiscoveryConfig
 
+pytestmark = pytest.mark.slow
+
 ANY = Origin(None, None, None)
 HOSTILE = "</script><script>hacked = 1</script><img src=x onerror='hacked = 2'>&amp;"
 

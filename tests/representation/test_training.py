@@ -26,6 +26,8 @@ from lerobot_buds.representation.run import CHECKPOINT_FILE, TrainingRun
 from lerobot_buds.representation.trained import RECORD_FILE, WEIGHTS_FILE
 from lerobot_buds.representation.training import split_episodes
 
+pytestmark = pytest.mark.slow
+
 SMALL = RepresentationConfig(
     proprioception=["eef*", "gripper*"],
     image_size=16,

@@ -22,6 +22,8 @@ from packaging.utils import parse_wheel_filename
 
 from lerobot_buds.core import BudsError, ConfigError, read_json
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 SCRIPT = runpy.run_path(str(ROOT / "scripts/offline_bundle.py"))
 Config = SCRIPT["BundleConfig"]

@@ -12,6 +12,8 @@ from lerobot_buds.segmentation.consolidate import consolidate
 from lerobot_buds.segmentation.durations import count_segments, min_skill_of, window_of
 from lerobot_buds.segmentation.lines import LineFits, line_tree, settle_boundaries
 
+pytestmark = pytest.mark.slow
+
 
 def movements(
     seconds: float, stages: int, seed: int = 0, count: int = 20, fps: int = 30, jitter: float = 0.2

@@ -27,6 +27,8 @@ from lerobot_buds.cli.segment import SegmentConfig
 from lerobot_buds.core import RECORD_DIR, BudsError, SegmentationError
 from lerobot_buds.segmentation import SegmentationRecord, check_target, load_labels, write_segmented_dataset
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def dataset(segmented: Path) -> LeRobotDataset:

@@ -13,6 +13,8 @@ import lerobot_buds.segmentation
 from lerobot_buds.core import SEGMENTATION_FILE, SegmentationError, read_json, subgoals_of, write_json
 from lerobot_buds.segmentation import SegmentationRecord, check_labels
 
+pytestmark = pytest.mark.slow
+
 
 def columns(record: SegmentationRecord) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     lengths = np.array(record.source.episode_lengths)

@@ -22,6 +22,8 @@ from lerobot_buds.core import (
 )
 from lerobot_buds.segmentation import SegmentationRecord, load_labels, write_segmented_dataset
 
+pytestmark = pytest.mark.slow
+
 
 def contents(root: Path) -> dict[str, str]:
     return {str(p.relative_to(root)): sha256_of_file(p) for p in sorted(root.rglob("*")) if p.is_file()}
