@@ -111,7 +111,7 @@ class BudsConfig(PreTrainedConfig):  # type: ignore[misc]
     chunk_size: int = 1  # actions a skill predicts at once (paper: 1)
     n_action_steps: int = 1  # of them are carried out before it looks again, or fewer where a decision falls due
     compile_model: bool = False  # torch.compile for the encoders
-    cuda_graphs: bool = False  # training steps on a GPU as CUDA graphs, and fused Adam; needs norm="group" (ours)
+    cuda_graphs: bool = False  # training steps on a GPU as CUDA graphs; needs norm="group" (ours)
 
     # Meta controller
     meta_controllers: str = "per_task"  # one for each task (paper), or one that is "conditioned" on the task (ours)

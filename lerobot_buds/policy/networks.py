@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 from torchvision.models import resnet18
 
@@ -101,6 +102,23 @@ def make_conv_trunk(in_channels: int, norm: str, channels: Sequence[int]) -> Tru
     return Layers(*layers), widths[-1]
 
 
+class Pointwise(nn.Conv2d):
+    """A convolution of 1x1 as a product of matrices: a skill's few images took a slow way through PyTorch's on a CPU.
+
+    Args:
+        width_in: Channels of the input.
+        width_out: Channels of the output.
+    """
+
+    def __init__(self, width_in: int, width_out: int) -> None:
+        super().__init__(width_in, width_out, 1)
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Mixes the channels of every point, ``(B, width_in, H, W)`` to ``(B, width_out, H, W)``."""
+        points = F.linear(maps.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias)
+        return points.permute(0, 3, 1, 2)
+
+
 class SpatialSoftmax(nn.Module):
     """Turns every map into the expected position of its peak, in [-1, 1]; temperature 1 (released code)."""
 
@@ -132,7 +150,7 @@ def make_keypoint_encoder(trunk: nn.Module, channels: int, keypoints: int, featu
         keypoints: Maps of the spatial softmax.
         feature: Width of the output ``(B, feature)``.
     """
-    return Layers(trunk, nn.Conv2d(channels, keypoints, 1), SpatialSoftmax(), nn.Linear(2 * keypoints, feature))
+    return Layers(trunk, Pointwise(channels, keypoints), SpatialSoftmax(), nn.Linear(2 * keypoints, feature))
 
 
 def make_pooled_encoder(trunk: nn.Module) -> Layers:
@@ -156,9 +174,10 @@ def random_shift(images: Tensor, padding: int) -> Tensor:
     shifts = torch.randint(-padding, padding + 1, (2, batch, 1, 1), device=images.device)
     rows = (torch.arange(height, device=images.device)[:, None] + shifts[0]).clamp(0, height - 1)  # (B, H, 1)
     columns = (torch.arange(width, device=images.device) + shifts[1]).clamp(0, width - 1)  # (B, 1, W)
-    pixels = (rows * width + columns).view(batch, 1, -1).expand(-1, channels, -1)
-    shifted = images.flatten(start_dim=2).gather(2, pixels).view(images.shape)
-    return shifted.contiguous(memory_format=torch.channels_last)
+    samples = torch.arange(batch, device=images.device)[:, None, None]
+    pixels = (samples * height + rows) * width + columns  # (B, H, W)
+    points = images.permute(0, 2, 3, 1).reshape(-1, channels)  # where they lie together already, nothing is moved
+    return points.index_select(0, pixels.flatten()).view(batch, height, width, channels).permute(0, 3, 1, 2)
 
 
 def lay_out(network: nn.Module, memory_format: torch.memory_format) -> None:

@@ -137,7 +137,7 @@ def test_every_encoder_is_compiled_whole_and_computes_the_same(build, batch, mon
                 metrics.append(each.train(training)(batch(each))[1])
             assert metrics[1] == pytest.approx(metrics[0])
     convolved = [names for names in layers if any("conv2d" in name for name in names)]
-    assert len(convolved) == len(layers) == 2 * policy.config.n_skills + 1  # the meta controller's is one more
+    assert len(convolved) == len(layers) >= 3  # of images, goals and the meta controller; those of skills may share one
 
 
 def test_a_shared_trunk_is_run_once_for_all_skills(build, batch):
