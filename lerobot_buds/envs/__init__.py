@@ -1,6 +1,10 @@
-"""The robosuite tasks as LeRobot environments. Importing this loads neither LeRobot nor the simulator."""
+"""The robosuite tasks as LeRobot environments, and in Gymnasium's registry.
+
+Importing this loads neither LeRobot nor the simulator.
+"""
 
 from .loading import open_playback
+from .registration import env_id, register_tasks
 from .rendering import PROFILES, RenderProfile, profile_named
 from .robosuite_env import ACTION_NAMES, CAMERAS, FPS, REACH, STATE_NAMES, EnvSettings, Observation, RobosuiteEnv
 from .tasks import STAGE_FACTS, STOCK_TASKS, TASKS, Task, tasks_named
@@ -24,7 +28,11 @@ __all__ = [
     "RobosuiteEnv",
     "SimulationView",
     "Task",
+    "env_id",
     "open_playback",
     "profile_named",
+    "register_tasks",
     "tasks_named",
 ]
+
+register_tasks()

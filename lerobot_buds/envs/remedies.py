@@ -16,14 +16,21 @@ _TURNED_OFF = ("disable", "disabled", "off", "false", "0")
 class CannotStartError(SimulatorError):
     """The simulator cannot be loaded, or cannot draw.
 
+    Made of its message alone, as every error that has to come back from a worker process is.
+
     Attributes:
         cause: What is in its way.
         remedy: What to do about it.
     """
 
-    def __init__(self, cause: str, remedy: str) -> None:
-        super().__init__(f"The simulator cannot start: {cause}. To mend it, {remedy}.")
-        self.cause, self.remedy = cause, remedy
+    cause = remedy = ""
+
+    @classmethod
+    def of(cls, cause: str, remedy: str) -> "CannotStartError":
+        """Makes the error that says both."""
+        error = cls(f"The simulator cannot start: {cause}. To mend it, {remedy}.")
+        error.cause, error.remedy = cause, remedy
+        return error
 
 
 def cannot_start(error: Exception) -> CannotStartError:
@@ -35,8 +42,17 @@ def cannot_start(error: Exception) -> CannotStartError:
     said = " ".join(str(error).split()).rstrip(".")
     for told in (_numba, _device, _backend_setting):
         if (found := told(said)) is not None:
-            return CannotStartError(*found)
-    return CannotStartError(f"OpenGL cannot be used with {_setting('MUJOCO_GL')} ({said})", _library())
+            return CannotStartError.of(*found)
+    return CannotStartError.of(f"OpenGL cannot be used with {_setting('MUJOCO_GL')} ({said})", _library())
+
+
+def forked() -> CannotStartError:
+    """Tells that this process was forked from one that had drawn: OpenGL would wait for threads that are not there."""
+    return CannotStartError.of(
+        "this process was forked from one that had already drawn, which OpenGL does not survive",
+        "have the workers started in another way, for example by gymnasium.make_vec(..., vector_kwargs={'context': "
+        "'forkserver'}), or start them before anything is drawn",
+    )
 
 
 def backend() -> str:

@@ -37,6 +37,10 @@ STATE_NAMES = [
 ]
 """Dimensions of ``agent_pos``: seven arm joints (rad), two fingers (m), hand position in the world (m)."""
 
+_STATE_BOUNDS = np.repeat([4.0, 0.1, 3.0], [7, 2, 3]).astype(np.float32)
+"""What ``agent_pos`` stays within, either way: joints end at 3.76 rad and fingers at 0.04 m, by limits that give way by
+0.03 rad and 3 mm, and the base is within 0.7 m of the world's middle, 0.9 m high, with a hand that reaches 1.3 m."""
+
 ACTION_NAMES = ["delta_x", "delta_y", "delta_z", "gripper"]
 REACH = 0.05
 """Displacement of the hand that an action of 1 aims at (m)."""
@@ -86,7 +90,7 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
-    render_mode = "rgb_array"
+    render_mode: str | None = "rgb_array"
 
     def __init__(self, settings: EnvSettings) -> None:
         tasks = tasks_named(settings.task)
@@ -102,13 +106,15 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         if self._max_episode_steps < 1:
             raise ConfigError(f"episode_length={self._max_episode_steps} cannot work; it must be at least 1 step.")
         size = settings.image_size
+        if size < 1:
+            raise ConfigError(f"image_size={size} cannot work; it must be at least 1 pixel.")
         image = gym.spaces.Box(0, 255, (size, size, 3), np.uint8)
         self.observation_space = gym.spaces.Dict(
             {
                 "pixels": gym.spaces.Dict(dict.fromkeys(CAMERAS, image)),
-                "agent_pos": gym.spaces.Box(-np.inf, np.inf, (len(STATE_NAMES),), np.float32),
+                "agent_pos": gym.spaces.Box(-_STATE_BOUNDS, _STATE_BOUNDS, dtype=np.float32),
                 "render_profile": gym.spaces.Box(0, len(RENDER_PROFILES), (1,), np.float32),
-                "control_rate": gym.spaces.Box(0, np.inf, (1,), np.float32),
+                "control_rate": gym.spaces.Box(0, FPS, (1,), np.float32),
             }
         )
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)

@@ -48,7 +48,7 @@ def refuse(*modules: str, error: type[Exception] = ImportError):
 
 
 def fail_to_render():
-    raise CannotStartError("no libEGL", "install it")
+    raise CannotStartError.of("no libEGL", "install it")
 
 
 def lose_the_simulation():

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from lerobot_buds.core import ConfigError, SimulatorError
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, PROFILES, STATE_NAMES, EnvSettings, RobosuiteEnv
@@ -10,11 +9,6 @@ from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, PROFILES, STATE_NAMES,
 pytestmark = pytest.mark.slow
 
 NOTHING = np.zeros(4, np.float32)
-
-
-@pytest.mark.filterwarnings("ignore::UserWarning")
-def test_gymnasium_accepts_the_environment(env):
-    check_env(env)
 
 
 def test_observations_are_those_of_the_spaces(env):
@@ -54,6 +48,18 @@ def test_the_hand_stays_upright(env, actions):
         tilts.append(np.degrees(np.arccos(np.clip(down, -1, 1))))
     # The arm starts tilted by some degrees and needs a quarter of a second to come upright.
     assert max(tilts[5:]) < 1.0
+
+
+def test_the_arm_stays_within_the_bounds_of_its_space(env):
+    env.reset(seed=4)
+    model, space = env.simulation.sim.model, env.observation_space["agent_pos"]
+    limits = np.array([model.jnt_range[model.joint_name2id(f"robot0_joint{i}")] for i in range(1, 8)])
+    assert (space.low[:7] < limits[:, 0] - 0.2).all() and (space.high[:7] > limits[:, 1] + 0.2).all()
+    for corner in ((1, 1, 1), (-1, -1, -1), (-1, 1, 1), (1, -1, -1)):
+        for _ in range(30):
+            observation, *_ = env.step(np.array([*corner, -corner[0]], np.float32))
+            assert space.contains(observation["agent_pos"])
+    assert np.isfinite(space.low).all() and np.isfinite(space.high).all()
 
 
 def test_an_episode_starts_settled_with_the_gripper_opening(env):

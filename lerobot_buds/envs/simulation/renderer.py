@@ -4,16 +4,18 @@ robosuite's renderer does not: two of its environments in one process draw into 
 """
 
 import atexit
+import os
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_buds.envs.remedies import STARTING_ERRORS, cannot_start
+from lerobot_buds.envs.remedies import STARTING_ERRORS, cannot_start, forked
 from lerobot_buds.envs.rendering import RenderProfile
 
 _DRAWN, _HIDDEN = 1, 4
+_drew_first: int | None = None  # the process that drew first: this one, or one that it was forked from
 _ARM_COLOUR = (0.82, 0.82, 0.84, 1.0)
 _HAND_COLOUR = (0.25, 0.25, 0.28, 1.0)
 
@@ -30,12 +32,16 @@ class CameraRenderer:
         size: Height and width of the images (pixels).
 
     Raises:
-        SimulatorError: OpenGL cannot draw without a display here.
+        SimulatorError: OpenGL cannot draw without a display here, or in a process that was forked too late.
     """
 
     def __init__(self, model: Any, data: Any, profile: RenderProfile, size: int) -> None:
         self._model, self._data = model, data
         _apply(profile, self._model, size)
+        global _drew_first
+        if _drew_first not in (None, os.getpid()):
+            raise forked()
+        _drew_first = os.getpid()
         try:
             self._renderer = mujoco.Renderer(self._model, height=size, width=size)
         except (*STARTING_ERRORS, mujoco.FatalError) as error:
