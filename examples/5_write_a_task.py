@@ -1,56 +1,82 @@
-"""5. Write a task: another goal on a table that is there, out of facts and motions that are there.
+"""5. Write a task: a table, what counts as success on it, and who demonstrates it. The page to it is docs/own_task.md.
 
-    python examples/5_write_a_task.py --output=outputs/fetch.png
+    python examples/5_write_a_task.py --preview=outputs/serve_cube
+    python examples/5_write_a_task.py --repo_id=me/serve_cube --root=outputs/serve_cube --episodes=8
 
-The scene of Tool-Use knows whether the cube is fetched and the tool put aside, and the demonstrator how to do both, so
-a task "fetch the cube, and leave it there" is a few lines, and works in the process that has them. Commands are other
-processes, and so are their workers: to record it by `lerobot-buds-collect` and to evaluate on it, put the lines into
-`lerobot_buds/envs/tasks.py`.
-
-What takes more, inside the package:
-  - another table: a class with `objects`, `place` and `facts` in `envs/simulation/`, entered in `scenes.py`;
-  - another fact: a line in the scene's `facts`, and in `STAGE_FACTS` where a stage aims at it;
-  - another motion: a generator out of `demos/vocabulary.py`, entered in the `STAGES` of its module.
+The first draws an attempt, the second records; their options are those of `lerobot-buds-collect`.
 """
 
-import argparse
-from pathlib import Path
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
-from lerobot_buds.demos.attempts import attempt
-from lerobot_buds.demos.pictures import draw_attempt
-from lerobot_buds.envs import TASKS, EnvSettings, RobosuiteEnv, Task
+import numpy as np
 
-FETCH = Task(
-    name="tool_use/fetch",
-    description="fetch the cube with the tool and put the tool aside",
-    scene="tool_use",
+from lerobot_buds.cli import collect
+from lerobot_buds.demos.motions import Action, Demonstrator
+from lerobot_buds.demos.stages import STAGES
+from lerobot_buds.demos.vocabulary import carry, release, up
+from lerobot_buds.envs import STAGE_FACTS, TASKS, Task, register_tasks
+
+REGION = np.array([0.05, 0.15, 0.878])  # in the world (m); the table's top is at 0.9
+
+
+@dataclass(frozen=True)
+class ServeCube:
+    """The table: a cube, and a red region to put it in."""
+
+    start: frozenset[str]  # the task's
+    goal: tuple[str, ...]
+    table_length: float = 0.8  # along x (m)
+    latches: Mapping[str, str] = field(default_factory=dict)
+
+    def objects(self) -> list[Any]:
+        """Builds what stands there."""
+        from lerobot_buds.envs.simulation.furniture import cube, serving_region  # here: it loads the simulator
+
+        return [serving_region(tuple(REGION)), cube((0.02, 0.025, 0.02), "blue_wood")]
+
+    def place(self, state: Any, rng: np.random.Generator) -> None:
+        """Starts an episode."""
+        state.set_pose("cube", np.array([rng.uniform(-0.15, -0.05), rng.uniform(-0.2, -0.1), 0.93]), yaw=-np.pi / 2)
+
+    def update(self, state: Any) -> None:
+        """Nothing changes its looks."""
+
+    def facts(self, state: Any) -> dict[str, bool]:
+        """Tells what holds now."""
+        cube = state.position("cube_main")
+        inside = (np.abs(cube - REGION)[:2] < (0.05, 0.08)).all() and not state.touching("cube", "gripper0")
+        return {"cube_lifted": bool(cube[2] > 0.94), "cube_served": bool(inside and cube[2] < 0.93)}
+
+
+def serve_cube(hand: Demonstrator) -> Iterator[Action]:
+    """Carries the cube over the region, lowers it and lets go."""
+    place = REGION + up(0.045) + hand.jitter(0.01) * (1, 1, 0)
+    yield from carry(hand, "cube_main", lambda: place + up(0.06), tolerance=0.02)
+    yield from carry(hand, "cube_main", lambda: place)
+    yield from release(hand, rise=0.08)
+
+
+TASK = Task(
+    name="serve_cube/full",
+    description="put the cube in the red region",
+    scene=ServeCube,
     start=frozenset(),
-    goal=("cube_fetched", "tool_put_aside"),
-    released_goal=("cube_fetched", "tool_put_aside"),
-    stages=("grasp_tool", "hook_cube", "pull_cube", "put_tool_aside"),
-    max_steps=1500,
-    workspace=TASKS["tool_use/full"].workspace,
+    goal=("cube_served",),
+    released_goal=("cube_served",),
+    stages=("grasp_cube", "serve_cube"),  # the first is Tool-Use's
+    max_steps=500,
 )
+TASKS[TASK.name] = TASK
+STAGE_FACTS["serve_cube"], STAGES["serve_cube"] = "cube_served", serve_cube
+register_tasks()
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Lets the demonstrator try the task from a few seeds; returns how often it succeeded."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, required=True, help="picture of the last success, stage by stage")
-    parser.add_argument("--attempts", type=int, default=3)
-    parser.add_argument("--image_size", type=int, default=128)
-    chosen = parser.parse_args(arguments)
-
-    TASKS[FETCH.name] = FETCH
-    env, successes = RobosuiteEnv(EnvSettings(FETCH.name, None, chosen.image_size, "fast")), 0
-    for seed in range(chosen.attempts):
-        done = attempt(env, seed)
-        successes += done.success
-        print(f"seed {seed}: {len(done.arrays['action'])} steps" if done.success else f"seed {seed}: {done.failure}")
-        if done.success:
-            draw_attempt(done, FETCH.stages, chosen.output)
-    env.close()
-    return successes
+def main(arguments: list[str] | None = None) -> None:
+    """Records the task, or draws an attempt, in a process that knows it."""
+    collect.main([f"--task={TASK.name}", *(sys.argv[1:] if arguments is None else arguments)])
 
 
 if __name__ == "__main__":

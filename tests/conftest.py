@@ -31,6 +31,23 @@ def quiet() -> None:
 
 
 @pytest.fixture
+def tasks_of_its_own() -> Iterator[None]:
+    """Takes out again what a test, or an example that it runs, adds to the tasks that there are."""
+    import gymnasium
+
+    from lerobot_buds.demos.stages import STAGES
+    from lerobot_buds.envs import STAGE_FACTS, TASKS
+
+    kept: list[tuple[dict[Any, Any], dict[Any, Any]]] = [
+        (names, dict(names)) for names in (TASKS, STAGE_FACTS, STAGES, gymnasium.registry)
+    ]
+    yield
+    for names, before in kept:
+        names.clear()
+        names.update(before)
+
+
+@pytest.fixture
 def largest_file() -> Callable[[int], AbstractContextManager[None]]:
     """Lets this process's writes beyond a size (bytes) fail, as on a disk that is full; Python ignores the signal."""
 

@@ -114,6 +114,7 @@ def check_make(arguments: list[str]) -> None:
         assert re.search(rf"^{name} \?=" if equals else rf"^{name}:", makefile, flags=re.M), word
 
 
+@pytest.mark.usefixtures("tasks_of_its_own")
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda words: " ".join(words)[:80])
 def test_a_command_can_be_typed(
     command: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture

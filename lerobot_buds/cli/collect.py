@@ -1,6 +1,7 @@
 """``lerobot-buds-collect``: records scripted demonstrations of a robosuite task into a LeRobotDataset."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -118,9 +119,13 @@ def preview(config: CollectConfig, folder: Path) -> list[Path]:
     return pictures
 
 
-def main() -> None:
-    """Entry point of the console script."""
-    config = parse(CollectConfig)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the console script, and of programs that have tasks of their own.
+
+    Args:
+        arguments: In the place of the program's.
+    """
+    config = parse(CollectConfig, arguments)
     if config.preview is not None:
         folder = config.preview
         print(*run(lambda: preview(config, folder)), sep="\n")

@@ -2,7 +2,7 @@
 
 import logging
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from lerobot_buds.core import BudsError
 from .texts import keep_texts, require_texts
 
 
-def parse[T](settings: type[T]) -> T:
+def parse[T](settings: type[T], given: Sequence[str] | None = None) -> T:
     """Reads a command's settings from its arguments; where they cannot work, ends the program with the reason.
 
     Text stays the text that was typed, and paths are absolute from here on: libraries that take a path as text see a
@@ -24,9 +24,10 @@ def parse[T](settings: type[T]) -> T:
 
     Args:
         settings: Dataclass of the settings.
+        given: The arguments; those of the program where None.
     """
     try:
-        arguments = keep_texts(settings, sys.argv[1:])
+        arguments = keep_texts(settings, sys.argv[1:] if given is None else given)
         require_texts(settings, arguments)
         config: T = draccus.parse(settings, args=arguments)
     except ParsingError as error:

@@ -15,6 +15,7 @@ from .motions import Action, Demonstrator, MotionFailedError
 from .orders import draw_order
 from .people import Person
 from .stages import STAGES
+from .vocabulary import Stage
 
 STEPS_AFTER_SUCCESS = 10
 """Recording ends once the goal has held for this long, as in the original's collection (control steps)."""
@@ -74,6 +75,9 @@ def attempt(env: RobosuiteEnv, seed: int, tremor_seed: int | None = None, style:
         seed: Determines the start and all of the demonstrator's variety.
         tremor_seed: Gives the same start and the same intentions another noise on the hand's command, where given.
         style: How it is done, and what is kept of it.
+
+    Raises:
+        ConfigError: Nothing is known of how to do a stage.
     """
     observation, _ = env.reset(seed=seed)
     tremor = None if tremor_seed is None else np.random.default_rng(tremor_seed)
@@ -103,11 +107,18 @@ def attempt(env: RobosuiteEnv, seed: int, tremor_seed: int | None = None, style:
 
 def _script(task: Task, hand: Demonstrator) -> Iterator[tuple[int, Action]]:
     order = draw_order(task, hand.rng)
-    for number in order:
-        for action in chain(hand.think(), STAGES[task.stages[number]](hand)):
+    motions = [(number, _motion(task, number)) for number in order]  # all of them, before anything is done
+    for number, motion in motions:
+        for action in chain(hand.think(), motion(hand)):
             yield number, action
     for action in hand.hold(STEPS_AFTER_SUCCESS):
         yield order[-1], action
+
+
+def _motion(task: Task, number: int) -> Stage:
+    if (stage := task.stages[number]) not in STAGES:
+        raise ConfigError(f"No demonstrator can do stage {stage!r} of {task.name}. {near_names(stage, STAGES)}")
+    return STAGES[stage]
 
 
 def _row(observation: dict[str, Any], action: Action, stage: int) -> dict[str, Any]:

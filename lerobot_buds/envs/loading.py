@@ -10,11 +10,11 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING
 
-from lerobot_buds.core import SimulatorError
+from lerobot_buds.core import ConfigError, SimulatorError, near_names
 
 from .remedies import STARTING_ERRORS, cannot_start
 from .rendering import profile_named
-from .tasks import Task
+from .tasks import STAGE_FACTS, Task
 
 if TYPE_CHECKING:
     from .simulation.playback import ModelPlayback
@@ -91,12 +91,22 @@ def open_simulation(task: Task) -> "TabletopEnv | StockEnv":
 
     Raises:
         SimulatorError: The simulator is missing, unsupported, or cannot be loaded here.
+        ConfigError: The task has a scene that is not there, or needs a fact that its scene does not tell.
     """
     with importing_simulator():
         from .simulation.scenes import build_scene
         from .simulation.stock import StockEnv
         from .simulation.tabletop import TabletopEnv
-    return StockEnv(task.name) if task.stock else TabletopEnv(build_scene(task))
+    if task.stock:
+        return StockEnv(task.name)
+    simulation = TabletopEnv(build_scene(task))
+    told = simulation.facts()
+    for fact in (*task.goal, *(STAGE_FACTS[stage] for stage in task.stages)):
+        if fact not in told:
+            raise ConfigError(
+                f"Task {task.name} needs the fact {fact!r}, which its scene does not tell. {near_names(fact, told)}"
+            )
+    return simulation
 
 
 def open_renderer(simulation: "TabletopEnv | StockEnv", profile: str, size: int) -> "CameraRenderer":

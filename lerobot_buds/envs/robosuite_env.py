@@ -86,7 +86,7 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         settings: The task and how it is drawn.
 
     Raises:
-        ConfigError: The settings name an unknown or ambiguous task or profile.
+        ConfigError: The settings name an unknown or ambiguous task or profile, or a value that cannot work.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
@@ -102,6 +102,9 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.task = self._task.name
         self.task_description = self._task.description
         self.stages = self._task.stages
+        for stage in self.stages:
+            if stage not in STAGE_FACTS:
+                raise ConfigError(f"STAGE_FACTS does not say what stage {stage!r} of {self.task} aims at.")
         self._max_episode_steps = self._task.max_steps if settings.max_steps is None else settings.max_steps
         if self._max_episode_steps < 1:
             raise ConfigError(f"episode_length={self._max_episode_steps} cannot work; it must be at least 1 step.")

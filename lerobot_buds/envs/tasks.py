@@ -1,10 +1,14 @@
 """The tasks by name, as plain data: importable without a simulator."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from lerobot_buds.core import ConfigError, near_names
+
+if TYPE_CHECKING:
+    from .simulation.tabletop import Scene
 
 _UNBOUNDED = ((-math.inf, math.inf),) * 3
 
@@ -41,7 +45,7 @@ class Task:
     Attributes:
         name: What users type, ``suite/task``.
         description: The instruction in natural language; equal to the dataset's task string.
-        scene: What stands on the table: a key of `simulation.scenes.SCENES`.
+        scene: What stands on the table: a key of `simulation.scenes.SCENES`, or what is there the value of a key.
         start: Facts that hold at the start and do not in the scene's plain arrangement.
         goal: Names of the facts that must all hold at once.
         released_goal: The same as the original's released code has it.
@@ -54,7 +58,7 @@ class Task:
 
     name: str
     description: str
-    scene: str
+    scene: "str | Callable[[frozenset[str], tuple[str, ...]], Scene]"
     start: frozenset[str]
     goal: tuple[str, ...]
     released_goal: tuple[str, ...]

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from lerobot_buds.core import ConfigError
 from lerobot_buds.demos.attempts import STEPS_AFTER_SUCCESS, attempt
+from lerobot_buds.demos.stages import STAGES
 from lerobot_buds.envs import EnvSettings, RobosuiteEnv
+from lerobot_buds.envs.robosuite_env import SETTLE_STEPS
 
 pytestmark = pytest.mark.slow
 
@@ -76,3 +79,10 @@ def test_replayed_actions_repeat_the_demonstration(env, done):
             observation, _, success, _, _ = env.step(action)
         assert success
         assert np.linalg.norm(env.state.position("pot_main") - place) < 1e-3
+
+
+def test_a_stage_that_nobody_can_do_is_refused_before_anything_is_done(env, monkeypatch):
+    monkeypatch.delitem(STAGES, "push_pot")
+    with pytest.raises(ConfigError, match=r"No demonstrator can do stage 'push_pot' of .*variant1\. .*'push_tray'"):
+        attempt(env, 0)
+    assert env.simulation.timestep == SETTLE_STEPS

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from lerobot_buds.core import ConfigError, near_names
 from lerobot_buds.envs.tasks import Task
 
 from .hammer_place import HammerPlace
@@ -22,5 +23,12 @@ SCENES: dict[str, Callable[[frozenset[str], tuple[str, ...]], Scene]] = {
 
 
 def build_scene(task: Task) -> Scene:
-    """Builds the scene of a task."""
-    return SCENES[task.scene](task.start, task.goal)
+    """Builds the scene of a task.
+
+    Raises:
+        ConfigError: There is none of its name.
+    """
+    if isinstance(task.scene, str) and task.scene not in SCENES:
+        raise ConfigError(f"Task {task.name} has a scene that is not there. {near_names(task.scene, SCENES)}")
+    constructor = SCENES[task.scene] if isinstance(task.scene, str) else task.scene
+    return constructor(task.start, task.goal)
