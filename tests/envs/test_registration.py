@@ -1,10 +1,12 @@
 """The tasks in Gymnasium's registry: every one passes its checker, and is the environment that it is elsewhere."""
 
+import re
 import subprocess
 import sys
 import warnings
 from dataclasses import replace
 from itertools import groupby
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +16,7 @@ from gymnasium.utils.env_checker import check_env
 from lerobot_buds.core import ConfigError, SimulatorError
 from lerobot_buds.envs import STOCK_TASKS, TASKS, RobosuiteEnv, env_id, register_tasks
 
+PAGE = Path(__file__).parents[2] / "docs/environments.md"
 SMALL = {"image_size": 16, "render_profile": "fastest"}
 TASK = "multitask_kitchen/task3_variant1"  # that of the folder's environment
 IDS = {env_id(name): task for name, task in (TASKS | STOCK_TASKS).items()}
@@ -39,6 +42,12 @@ def test_names_are_gymnasiums_and_no_two_are_the_same():
     assert {task: env_id(task) for task in named} == {k: f"lerobot_buds/{v}-v0" for k, v in named.items()}
 
 
+def test_what_the_page_shows_runs(capsys):
+    (code,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), flags=re.M | re.S)
+    exec(code, {})
+    assert capsys.readouterr().out.startswith("(64, 64, 3) (12,) 0.0 [False False")
+
+
 def test_a_name_brings_its_module_and_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", LAZY], capture_output=True, text=True, check=True)
     number, task, *modules = done.stdout.split()
@@ -46,15 +55,15 @@ def test_a_name_brings_its_module_and_nothing_heavy():
     assert {"lerobot", "mujoco", "robosuite", "torch"}.isdisjoint(modules)
 
 
-def test_registering_again_changes_nothing_but_brings_what_is_new(monkeypatch):
+@pytest.mark.usefixtures("tasks_of_its_own")
+def test_registering_again_changes_nothing_but_brings_what_is_new():
     before = dict(gym.registry)
     with warnings.catch_warnings(action="error"):
         register_tasks()
     assert dict(gym.registry) == before
-    monkeypatch.setitem(TASKS, "tool_use/again", replace(TASKS["tool_use/full"], name="tool_use/again"))
+    TASKS["tool_use/again"] = replace(TASKS["tool_use/full"], name="tool_use/again")
     register_tasks()
     assert gym.registry.keys() - before == {"lerobot_buds/ToolUse-Again-v0"}
-    del gym.registry["lerobot_buds/ToolUse-Again-v0"]
 
 
 @pytest.mark.parametrize("name", IDS)
