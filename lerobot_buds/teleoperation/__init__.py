@@ -1,0 +1,1 @@
+"""A person at the controls of the simulator, by LeRobot's own commands. LeRobot finds each device by its type."""
