@@ -75,6 +75,7 @@ def test_the_wheel_holds_the_package_and_its_entry_point(wheel: ZipFile) -> None
     assert {str(path.relative_to(ROOT)) for path in SOURCES} <= names
     assert "lerobot_buds/py.typed" in names
     assert {f"lerobot_buds/report/page/report.{kind}" for kind in ("html.j2", "css", "js")} <= names
+    assert {f"lerobot_buds/teleoperation/web/page.{kind}" for kind in ("html.j2", "css", "js")} <= names
     top_level = {name.split("/")[0] for name in names}
     assert top_level == {"lerobot_buds", "lerobot_policy_buds.py", "lerobot_policy_buds-0.1.0.dist-info"}
 

@@ -14,6 +14,7 @@ from lerobot.utils.errors import DeviceNotConnectedError
 from lerobot_buds.core import ConfigError
 
 from .layout import STAY, action_of
+from .page import Page
 
 
 class Device(Protocol):
@@ -180,6 +181,33 @@ class SpaceMouse:
         """Closes it."""
         if self._mouse is not None:
             self._mouse.disconnect()
+
+
+class PageKeys:
+    """The keys of a page in the browser, which shows the cameras, too.
+
+    Args:
+        port: Where it is served; 0 for any port that is free.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._page = Page(port)
+
+    def connect(self) -> None:
+        """Serves the page.
+
+        Raises:
+            ConfigError: The port is taken.
+        """
+        self._page.start()
+
+    def read(self) -> dict[str, float]:
+        """Tells what the keys ask for that are held in it; nothing while nobody has it open."""
+        return action_of(self._page.held())
+
+    def disconnect(self) -> None:
+        """Ends the page."""
+        self._page.stop()
 
 
 def _missing(package: str, device: str, install: str) -> str:

@@ -9,7 +9,7 @@ from lerobot.utils.errors import DeviceNotConnectedError
 from lerobot_buds.envs import ACTION_NAMES
 
 from .config_robosuite_hand import RobosuiteHandConfig
-from .devices import Device, Gamepad, Keyboard, SpaceMouse
+from .devices import Device, Gamepad, Keyboard, PageKeys, SpaceMouse
 from .displacement import DisplacementStep
 
 
@@ -94,6 +94,8 @@ class RobosuiteHand(Teleoperator):  # type: ignore[misc]  # LeRobot ships no typ
 
 
 def _device(config: RobosuiteHandConfig) -> Device:
-    if config.device == "gamepad":
-        return Gamepad()
-    return SpaceMouse() if config.device == "spacemouse" else Keyboard()
+    if config.device == "page":
+        return PageKeys(config.port)
+    kinds: dict[str, type[Keyboard | Gamepad | SpaceMouse]]
+    kinds = {"keyboard": Keyboard, "gamepad": Gamepad, "spacemouse": SpaceMouse}
+    return kinds[config.device]()

@@ -79,10 +79,10 @@ class Browser:
                 assert "error" not in answer, answer
                 return answer["result"]
 
-    def open(self, path: Path) -> float:
-        """Opens a file and returns the seconds until its script is done."""
+    def open(self, page: Path | str) -> float:
+        """Opens a file or an address and returns the seconds until its script is done."""
         began = time.monotonic()
-        self.call("Page.navigate", url=path.as_uri())
+        self.call("Page.navigate", url=page.as_uri() if isinstance(page, Path) else page)
         while self.run("document.documentElement?.dataset.ready") != "true":
             assert time.monotonic() - began < TIMEOUT_S, self.complaints
             time.sleep(0.02)
