@@ -53,18 +53,19 @@ install_system_packages() {
   say "missing system packages; if rendering or video fails: sudo apt-get install ${missing[*]}"
 }
 
-# The tests look at reports in a browser. By itself, for not every system has this package.
-install_browser() {
-  local name
-  for name in chromium chromium-browser google-chrome; do
-    command -v $name >/dev/null && return 0
+# What tests alone need: a browser for pages, a display that nobody sees and a hand that types for keyboards. One by one,
+# for not every system has all of these packages.
+install_for_tests() { # PACKAGE PROGRAM...: installs the package unless one of the programs is there
+  local package=$1 program
+  for program in "${@:2}"; do
+    command -v "$program" >/dev/null && return 0
   done
   if [[ $(id -u) == 0 ]] && command -v apt-get >/dev/null; then
-    say "installing chromium"
+    say "installing $package"
     { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
-      chromium; } >/dev/null && return
+      "$package"; } >/dev/null && return
   fi
-  say "no Chromium found, which some tests need: sudo apt-get install chromium"
+  say "no $package found, which some tests need: sudo apt-get install $package"
 }
 
 runs() { "$@" >/dev/null 2>&1; }
@@ -97,7 +98,9 @@ with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as rende
 
 python=$(find_python)
 install_system_packages "$python"
-install_browser
+install_for_tests chromium chromium chromium-browser google-chrome
+install_for_tests xvfb Xvfb
+install_for_tests xdotool xdotool
 install_python_packages "$python"
 check_rendering
 touch $ready

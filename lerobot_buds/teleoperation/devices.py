@@ -34,11 +34,18 @@ class Device(Protocol):
 
 
 class _NamedKeys(Queue[tuple[str, bool]]):
-    """Takes events by the key's name: under shift ``w`` is let go as ``W``, and would stay held."""
+    """Takes events by the key's name: under shift ``w`` is let go as ``W``, and would stay held.
+
+    Attributes:
+        ended: Escape was let go, by which LeRobot's keyboard ends. Its listener says so at the next key alone.
+    """
+
+    ended = False
 
     def put(self, item: tuple[Any, bool], block: bool = True, timeout: float | None = None) -> None:
         key, pressed = item
         name = key.lower() if isinstance(key, str) else getattr(key, "name", None)
+        self.ended |= name == "esc" and not pressed
         if name is not None:
             super().put((name, pressed), block, timeout)
 
@@ -54,7 +61,8 @@ class Keyboard:
 
     def __init__(self) -> None:
         self._keys: Any = None
-        self._last_reads = 0
+        self._events = _NamedKeys()
+        self._last_reads = self.GRACE
 
     def connect(self) -> None:
         """Begins to listen.
@@ -68,9 +76,8 @@ class Keyboard:
             self._keys = KeyboardTeleop(KeyboardTeleopConfig())
         except ImportError as error:
             raise ConfigError(_missing("pynput", "The keyboard", "lerobot_policy_buds[teleop]")) from error
-        self._keys.event_queue = _NamedKeys()
+        self._keys.event_queue = self._events
         self._keys.connect()
-        self._last_reads = self.GRACE
         if not self._keys.is_connected:
             raise ConfigError(
                 "The keyboard cannot be heard here: that takes an X11 session (no Wayland, no terminal over ssh). "
@@ -83,7 +90,7 @@ class Keyboard:
         Raises:
             KeyboardInterrupt: Escape was pressed, by which LeRobot's keyboard ends; its loop knows no other end.
         """
-        if self._keys.is_connected:
+        if self._keys.is_connected and not self._events.ended:
             return action_of(self._keys.get_action().keys())
         if self._last_reads == 0:
             raise KeyboardInterrupt("Escape was pressed.")

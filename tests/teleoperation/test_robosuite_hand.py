@@ -148,7 +148,7 @@ def test_a_key_let_go_under_shift_is_let_go(keyboard):
 def test_escape_ends_after_the_frame_that_a_recording_is_in(keyboard):
     hand, keys = keyboard
     keys.event_queue.put(("w", True))
-    keys.disconnect()  # as LeRobot does when Escape is let go
+    keys.event_queue.put((SimpleNamespace(name="esc"), False))
     assert [given(hand) for _ in range(Keyboard.GRACE)] == [STILL] * Keyboard.GRACE
     with pytest.raises(KeyboardInterrupt):
         hand.get_action()
