@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 ROOT = Path(__file__).parents[2]
-ROBOT = "bare_environment"
+ROBOT, SETTINGS = "bare_environment", {"task": "tool_use/cube_fetched"}
 HAND = ["eef_x.pos", "eef_y.pos", "eef_z.pos"]
 STARTS_S, ANSWERS_S = 120.0, 20.0
 MOVES = {"w": (0, -1), "s": (0, 1), "a": (1, -1), "d": (1, 1), "i": (2, 1), "k": (2, -1)}
@@ -51,6 +51,7 @@ class Session:
             "robot.discover_packages_path": "lerobot_robot_traced",
             "robot.type": "traced",
             "robot.robot": ROBOT,
+            "robot.settings": json.dumps(SETTINGS),
             "robot.trace": self.trace,
             "teleop.type": "robosuite_hand",
             "teleop.device": "keyboard",

@@ -1,7 +1,7 @@
 """Robots of tests, which LeRobot's commands find by their package: one that tells what another does, and a stand-in."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,13 @@ class TracedConfig(RobotConfig):
 
     Attributes:
         robot: The other one's type. (A configuration within one of the same kind is more than draccus can follow.)
-        settings: The other one's settings, as JSON.
+        settings: The other one's settings.
         trace: A file that gets one line of JSON an action: ``[observed numbers, action]``.
     """
 
     robot: str
     trace: Path
-    settings: str = "{}"
+    settings: dict[str, Any] = field(default_factory=dict)
 
 
 @RobotConfig.register_subclass("bare_environment")
@@ -66,8 +66,8 @@ class Traced(_Device):
 
     def __init__(self, config: TracedConfig) -> None:
         super().__init__(config)
-        settings = RobotConfig.get_choice_class(config.robot)(**json.loads(config.settings))
-        self.robot, self.seen = make_robot_from_config(settings), {}
+        self.robot = make_robot_from_config(RobotConfig.get_choice_class(config.robot)(**config.settings))
+        self.seen: dict[str, float] = {}
 
     @property
     def observation_features(self) -> dict[str, Any]:
