@@ -23,6 +23,8 @@ OURS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"
 THEIRS = {
     "lerobot-train": "lerobot.configs.train:TrainPipelineConfig",
     "lerobot-eval": "lerobot.configs.eval:EvalPipelineConfig",
+    "lerobot-record": "lerobot.scripts.lerobot_record:RecordConfig",
+    "lerobot-teleoperate": "lerobot.scripts.lerobot_teleoperate:TeleoperateConfig",
     "lerobot-edit-dataset": "lerobot.scripts.lerobot_edit_dataset:EditDatasetConfig",
 }
 STANDS_FOR = {

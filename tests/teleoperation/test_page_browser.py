@@ -15,7 +15,10 @@ from lerobot_buds.teleoperation.page import open_page
 
 from ..report.browser import CHROMIUM, Browser
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: sudo apt-get install chromium")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: sudo apt-get install chromium"),
+]
 
 PERIOD_S = 0.05
 HOSTILE = "<img src=x onerror='window.hacked = 1'>"

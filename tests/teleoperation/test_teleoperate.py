@@ -15,9 +15,11 @@ import pytest
 from lerobot_buds.envs import ACTION_NAMES
 from lerobot_buds.teleoperation.layout import PAPER_SPEED, SLOW
 
-pytestmark = pytest.mark.skipif(
-    not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="no display here: sudo apt-get install xvfb xdotool"
-)
+NO_DISPLAY = not (shutil.which("Xvfb") and shutil.which("xdotool"))
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(NO_DISPLAY, reason="no display here: sudo apt-get install xvfb xdotool"),
+]
 
 ROOT = Path(__file__).parents[2]
 ROBOT, SETTINGS = "bare_environment", {"task": "tool_use/cube_fetched"}
