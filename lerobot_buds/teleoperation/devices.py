@@ -16,6 +16,8 @@ from lerobot_buds.core import ConfigError
 from .layout import STAY, action_of
 from .page import Page
 
+OUR_EXTRA = "lerobot_policy_buds[teleop]"
+
 
 class Device(Protocol):
     """A source of an operator's actions."""
@@ -75,7 +77,7 @@ class Keyboard:
         try:
             self._keys = KeyboardTeleop(KeyboardTeleopConfig())
         except ImportError as error:
-            raise ConfigError(_missing("pynput", "The keyboard", "lerobot_policy_buds[teleop]")) from error
+            raise ConfigError(_missing("pynput", "The keyboard", OUR_EXTRA)) from error
         self._keys.event_queue = self._events
         self._keys.connect()
         if not self._keys.is_connected:
@@ -123,7 +125,7 @@ class Gamepad:
             pad.connect()
             self._count = import_module("pygame").joystick.get_count
         except ImportError as error:
-            raise ConfigError(_missing("pygame", "A gamepad", "lerobot[pygame-dep]")) from error
+            raise ConfigError(_missing("pygame", "A gamepad", OUR_EXTRA)) from error
         if not pad.gamepad.running:
             pad.disconnect()
             raise ConfigError("No gamepad was found. Plug one in, or choose another --teleop.device.")

@@ -193,7 +193,7 @@ def test_there_is_no_gamepad(hand, pads):
 
 def test_pygame_is_named_where_it_is_missing(hand, pads, monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(ConfigError, match=r"needs pygame.*pip install 'lerobot\[pygame-dep\]'"):
+    with pytest.raises(ConfigError, match=r"needs pygame.*pip install 'lerobot_policy_buds\[teleop\]'"):
         hand(device="gamepad").connect()
 
 
