@@ -198,12 +198,13 @@ let waiting = null, drawing = false;
 async function drawNewest() {
   if (drawing) return;
   drawing = true;
-  while (waiting) {
-    const images = waiting;
-    waiting = null;
-    await draw(images);
-  }
-  drawing = false;
+  try {
+    while (waiting) {
+      const images = waiting;
+      waiting = null;
+      await draw(images);
+    }
+  } finally { drawing = false; }
 }
 
 function take(buffer) {
