@@ -33,8 +33,11 @@ OUR_STATE = (
 )
 """Names of the state that our environments record. Whoever has exactly these gets what the paper's networks read."""
 
-OUR_ACTION = ("delta_x", "delta_y", "delta_z", "gripper")
-"""Names of the actions that our environments take, all in [-1, 1]."""
+OUR_ACTION = ("delta_x.pos", "delta_y.pos", "delta_z.pos", "gripper.pos")
+"""Names of the actions that our environments take, all in [-1, 1]: LeRobot's rollouts tell a robot only ``*.pos``."""
+
+OUR_FORMER_ACTION = tuple(name.removesuffix(".pos") for name in OUR_ACTION)
+"""The same in recordings of before there was a robot, and in what was learnt from them."""
 
 RENDER_PROFILES = ("fast", "fastest", "full")
 """How our simulator can draw. Observations tell by a number, the place in this list, so it only ever grows."""

@@ -41,7 +41,7 @@ _STATE_BOUNDS = np.repeat([4.0, 0.1, 3.0], [7, 2, 3]).astype(np.float32)
 """What ``agent_pos`` stays within, either way: joints end at 3.76 rad and fingers at 0.04 m, by limits that give way by
 0.03 rad and 3 mm, and the base is within 0.7 m of the world's middle, 0.9 m high, with a hand that reaches 1.3 m."""
 
-ACTION_NAMES = ["delta_x", "delta_y", "delta_z", "gripper"]
+ACTION_NAMES = ["delta_x.pos", "delta_y.pos", "delta_z.pos", "gripper.pos"]
 REACH = 0.05
 """Displacement of the hand that an action of 1 aims at (m)."""
 

@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from lerobot_buds.core import ACTION, OUR_ACTION, OUR_STATE, ConfigError
+from lerobot_buds.core import ACTION, OUR_ACTION, OUR_FORMER_ACTION, OUR_STATE, ConfigError
 from lerobot_buds.data import LocalDataset, dimension_names, read_table, require_finite
 
 from .configuration_buds import BudsConfig
@@ -99,7 +99,8 @@ def choose_coding(config: BudsConfig, found: ActionRange) -> None:
         ConfigError: The settings do not fit the actions.
     """
     inside = np.maximum(-found.low, found.high) <= _UNIT
-    ours = tuple(config.state_names) == OUR_STATE and tuple(found.names) == OUR_ACTION and bool(inside.all())
+    named_as_ours = tuple(config.state_names) == OUR_STATE and tuple(found.names) in (OUR_ACTION, OUR_FORMER_ACTION)
+    ours = named_as_ours and bool(inside.all())
     if config.action_scaling is None:
         config.action_scaling = "none" if ours else "bounds"
     if config.binary_dims is None:

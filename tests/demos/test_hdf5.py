@@ -306,7 +306,7 @@ def test_pooled_images_must_be_as_many_as_the_actions(buds: Path) -> None:
             np.nan,
             r"'observation.state' is nan in demo_1, frame 3, dimension 8 ('gripper_right.pos')",
         ),
-        ("actions", -np.inf, "'action' is -inf in demo_1, frame 3, dimension 1 ('delta_y')"),
+        ("actions", -np.inf, "'action' is -inf in demo_1, frame 3, dimension 1 ('delta_y.pos')"),
     ],
 )
 def test_values_that_are_not_finite_are_located(robomimic: Path, array: str, value: float, message: str) -> None:

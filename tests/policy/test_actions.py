@@ -115,14 +115,15 @@ def test_actions_that_are_not_finite_are_refused(record_robot, tmp_path):
         ActionRange.read(meta.root)
 
 
-def test_recordings_of_our_own_keep_the_papers_head():
-    ours = found([-0.7] * 3 + [-1.0], [0.7] * 3 + [1.0], binary=[3], names=OUR_ACTION)
+@pytest.mark.parametrize("names", [OUR_ACTION, ("delta_x", "delta_y", "delta_z", "gripper")], ids=["now", "before"])
+def test_recordings_of_our_own_keep_the_papers_head(names):
+    ours = found([-0.7] * 3 + [-1.0], [0.7] * 3 + [1.0], binary=[3], names=names)
     assert not coding(ours, state_names=list(OUR_STATE)).state_dict()
     code = coding(ours, state_names=list(OUR_STATE))
     output = torch.randn(5, 4)
     assert torch.equal(code.decode(code.expected(output)), torch.tanh(output))
     assert set(coding(ours).state_dict()) == {"low", "high"}  # another state: somebody else's robot
-    degrees = found([-70.0] * 4, [70.0] * 4, names=OUR_ACTION)
+    degrees = found([-70.0] * 4, [70.0] * 4, names=names)
     assert set(coding(degrees, state_names=list(OUR_STATE)).state_dict()) == {"low", "high"}
 
 
