@@ -1,1 +1,1 @@
-"""A person at the controls of the simulator, by LeRobot's own commands. LeRobot finds each device by its type."""
+"""A person at the controls: the simulator as a LeRobot robot. Importing this loads neither of the two."""
