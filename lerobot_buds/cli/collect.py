@@ -52,6 +52,10 @@ class CollectConfig:
     clean_actions: bool = False
     """Records as actions what was meant, without the tremor that was executed with it."""
 
+    journal: Path | None = None
+    """Folder of the journal that a killed recording on the simulated robot has left beside its dataset: its episodes
+    are done again, and nothing is demonstrated. Task, size, profile and seeds are the journal's."""
+
     preview: Path | None = None
     """Folder for one contact sheet a task, of one attempt each, to look at; nothing is recorded then."""
 
@@ -81,6 +85,23 @@ def collect(config: CollectConfig) -> "Summary":
             style=Style(config.manner, config.clean_actions),
         )
     )
+
+
+def do_again(config: CollectConfig, journal: Path) -> int:
+    """Makes the dataset of a recording that was killed, from its journal.
+
+    Returns:
+        Episodes in the dataset.
+
+    Raises:
+        ConfigError: The dataset has no name.
+        DatasetError: The journal is empty or damaged, or the dataset exists.
+    """
+    from lerobot_buds.teleoperation.journal import restore
+
+    if not config.repo_id:
+        raise ConfigError("The dataset has no name; give it one, for example --repo_id=me/close_and_serve.")
+    return len(restore(journal, config.repo_id, dataset_root(config.repo_id, config.root), config.video).kept)
 
 
 def env_settings(config: CollectConfig) -> tuple[EnvSettings, ...]:
@@ -129,6 +150,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if config.preview is not None:
         folder = config.preview
         print(*run(lambda: preview(config, folder)), sep="\n")
+        return
+    if config.journal is not None:
+        journal = config.journal
+        print(f"{run(lambda: do_again(config, journal))} episodes were done again")
         return
     summary = run(lambda: collect(config))
     print(

@@ -23,6 +23,7 @@ from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettin
 from .announcements import Announcement, Announcements
 from .config_robosuite_sim import RobosuiteSimConfig
 from .ending import OrderlyEnd
+from .journal import Journal
 from .keys import keyboard
 from .pace import Pace
 from .scene import Scene, vector_of
@@ -108,12 +109,15 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
 
         Raises:
             SimulatorError: The simulator is missing or unsupported.
-            DatasetError: The dataset's record is damaged, or is of another task or drawn otherwise.
+            DatasetError: The dataset's record is damaged, or is of another task or drawn otherwise; or a recording into
+                the same folder was killed and left its journal.
         """
         config = self.config
         settings = EnvSettings(config.task, config.episode_length, config.image_size, config.render_profile)
         root = None if config.dataset_root is None else Path(config.dataset_root)
         self._session = Session.begin(root, settings)
+        self._journal = Journal(root, settings)
+        self._journal.require_none()
         scene = Scene(settings, config.end_after_success_s)
         scene.begin(max(config.seed, self._session.next_seed))
         self._scene = scene
@@ -167,7 +171,9 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
             return dict.fromkeys(ACTION_NAMES, 0.0)
         self._may_act = False
         had_ended = scene.ended
-        executed = scene.act(vector_of(action))
+        executed = scene.act(vector := vector_of(action))
+        if self._phase is Phase.EPISODE:
+            self._journal.add(vector)
         if scene.ended and not had_ended:
             self._tell_end()
         return dict(zip(ACTION_NAMES, executed.tolist(), strict=True))
@@ -181,7 +187,8 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
         self._end.stop()
         keyboard().release()
         scene.close()
-        self._session.settle()
+        self._settle()
+        self._journal.close()
         if self.pace.periods:
             logger.info("Simulated robot: %s.", self.pace.describe())
         if self.pace.differs_from(FPS):
@@ -211,7 +218,7 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
             if what is Announcement.EPISODE:
                 self._close_episode()
                 self._session.start(number, FPS)
-                self._session.settle()
+                self._settle()
                 self._next_scene()
                 self._refuse_evaluation_seeds(by_policy=self._by_policy)
                 self._phase = Phase.EPISODE
@@ -230,7 +237,7 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
                 self._phase = Phase.CORRECTION
             elif what is Announcement.CORRECTION_SAVED:
                 self._close_episode()
-                self._session.settle()
+                self._settle()
                 self._phase = Phase.PAUSED
             elif what is Announcement.RESUME:
                 self._phase = Phase.FREE
@@ -248,6 +255,12 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
             scene = self._connected()
             who = "correction" if self._phase is Phase.CORRECTION else "policy" if self._by_policy else "teleoperated"
             self._session.ended(Episode(scene.seed, scene.succeeded, who))
+
+    def _settle(self) -> None:
+        """Keeps record and journal of the last episode, if LeRobot has saved it."""
+        if (episode := self._session.settle()) is not None:
+            self._journal.keep(len(self._session.kept) - 1, episode)
+        self._journal.begin_episode()
 
     def _tell_end(self) -> None:
         """Says how the episode ended, and asks LeRobot for the next one where it records."""

@@ -106,21 +106,38 @@ class Session:
         """Tells of an episode that may be kept; what is told last is what counts."""
         self._open = episode
 
-    def settle(self) -> None:
+    def settle(self) -> Episode | None:
         """Keeps the open episode if the dataset has one more, else drops it; writes the record.
+
+        Returns:
+            The episode, if it was kept.
 
         Raises:
             StorageError: The record cannot be written.
         """
         if not self._counts:
-            return
-        if self._open is not None and self._saved() == len(self.kept) + 1:
-            self.kept.append(self._open)
-        self._open = None
+            return None
+        assert self.root is not None
+        kept, self._open = self._open, None
+        if kept is not None and self._saved() == len(self.kept) + 1:
+            self.kept.append(kept)
+        else:
+            kept = None
         self._align()
         if self.kept:
-            assert self.root is not None
-            write_json(self.root / COLLECTION_FILE, self._record())
+            self.write(self.root)
+        return kept
+
+    def write(self, root: Path) -> None:
+        """Writes the record of the kept episodes.
+
+        Args:
+            root: Folder of their dataset.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
+        write_json(root / COLLECTION_FILE, self._record())
 
     def _saved(self) -> int:
         assert self.root is not None

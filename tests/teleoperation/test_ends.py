@@ -1,12 +1,16 @@
 """However a recording ends: the dataset holds whole episodes, and its record says which they are."""
 
+import shutil
 import signal
 
 import numpy as np
 import pytest
 from lerobot.datasets import LeRobotDataset
 
+from lerobot_buds.cli.collect import CollectConfig, do_again
+from lerobot_buds.core import ACTION, STATE, DatasetError
 from lerobot_buds.data import read_collection
+from lerobot_buds.teleoperation.journal import journal_of, restore
 from lerobot_buds.teleoperation.keys import press
 
 TASK = "tool_use/cube_fetched"
@@ -77,3 +81,39 @@ def test_an_episode_recorded_again_takes_another_seed(interrupted):
     assert len(lengths_of(root)) == 3
     (task,) = read_collection(root)["tasks"]
     assert task["episode_seeds"] == [3, 5, 6]
+
+
+def test_what_a_kill_destroys_is_done_again_from_the_journal(interrupted, tmp_path, run):
+    """What lies on the disk amid the third episode is what a kill would leave there."""
+    killed = tmp_path / "killed"
+
+    def kill():
+        for name in ("recorded", ".recorded.journal"):
+            shutil.copytree(tmp_path / name, killed / name)
+
+    root = interrupted(kill, at=(2, 5))
+    assert not journal_of(root).exists()  # it has ended well
+    with pytest.raises(OSError, match=r"."):
+        LeRobotDataset("tests/recorded", root=killed / "recorded")
+    journal = journal_of(killed / "recorded")
+    config = CollectConfig("tests/again", root=killed / "again", journal=journal, video=False)
+    assert do_again(config, journal) == 2
+    again, whole = (
+        LeRobotDataset("x", root=folder).hf_dataset.with_format("numpy") for folder in (killed / "again", root)
+    )
+    assert len(again) == 2 * LENGTH
+    former = whole.filter(lambda row: row["episode_index"] < 2 and row["frame_index"] < LENGTH)
+    for column in (ACTION, STATE, "observation.images.agentview", "episode_index", "timestamp"):
+        np.testing.assert_array_equal(np.array(again[column]), np.array(former[column]))
+    (task,) = read_collection(killed / "again")["tasks"]
+    assert (task["episode_seeds"], task["succeeded"]) == ([3, 4], [False, False])
+    with pytest.raises(DatasetError, match="exists already"):
+        do_again(config, journal)
+
+
+def test_a_journal_that_was_left_is_not_mixed_with(interrupted, tmp_path):
+    journal = journal_of(tmp_path / "recorded")
+    journal.mkdir()
+    interrupted(lambda: None, DatasetError)
+    with pytest.raises(DatasetError, match="no journal"):
+        restore(journal, "tests/again", tmp_path / "again", video=False)
