@@ -24,6 +24,10 @@ COPIES = {
 
 BESIDE = {
     "envs": ["lerobot_buds.envs.configuration_robosuite.RobosuiteEnvConfig"],
+    "teleoperation": [
+        "lerobot_buds.teleoperation.config_robosuite_sim.RobosuiteSimConfig",
+        "lerobot_buds.teleoperation.robosuite_sim.RobosuiteSim",
+    ],
     "policy": ["lerobot_buds.policy.modeling_buds.BudsPolicy"],
     "cli": [
         "lerobot_buds.cli.collect.CollectConfig",

@@ -25,11 +25,14 @@ THEIRS = {
     "lerobot-eval": "lerobot.configs.eval:EvalPipelineConfig",
     "lerobot-record": "lerobot.scripts.lerobot_record:RecordConfig",
     "lerobot-teleoperate": "lerobot.scripts.lerobot_teleoperate:TeleoperateConfig",
+    "lerobot-replay": "lerobot.scripts.lerobot_replay:ReplayConfig",
+    "lerobot-rollout": "lerobot.scripts.lerobot_rollout:RolloutConfig",
     "lerobot-edit-dataset": "lerobot.scripts.lerobot_edit_dataset:EditDatasetConfig",
 }
 STANDS_FOR = {
     "--policy.kl_weight": "1e-4",
     "--policy.decoder_sees_skill": "true",
+    "--teleop.type": "keyboard",
 }  # what "..." is, where no text will do
 NEEDS = {
     "lerobot-train": ["--dataset.repo_id=x", "--policy.type=buds"],
@@ -87,7 +90,9 @@ def check_theirs(program: str, arguments: list[str], monkeypatch: pytest.MonkeyP
     settings = getattr(importlib.import_module(module), name)
     monkeypatch.setattr(sys, "argv", [program])  # where a path of a policy is looked for
     fields = settings.__get_path_fields__() if hasattr(settings, "__get_path_fields__") else []
-    draccus.parse(settings, args=filter_path_args(fields, arguments))
+    # Of a policy that is there, which is looked for where the program has its arguments.
+    found = ["--policy.type=buds"] if program == "lerobot-rollout" else []
+    draccus.parse(settings, args=[*filter_path_args(fields, arguments), *found])
 
 
 def check_script(

@@ -56,11 +56,12 @@ def state_of(shown):
     return np.array([shown[name] for name in STATE_NAMES], dtype=np.float32)
 
 
-def test_it_shows_and_does_what_the_environment_does(robot):
-    ours = robot(seed=5)
+@pytest.mark.parametrize("task", [TASK, "real_kitchen/full"])
+def test_it_shows_and_does_what_the_environment_does(robot, task):
+    ours = robot(seed=5, task=task)
     assert set(ours.observation_features) == {*STATE_NAMES, *CAMERAS}
     assert list(ours.action_features) == ACTION_NAMES
-    env = RobosuiteEnv(EnvSettings(TASK, image_size=16, render_profile="fastest"))
+    env = RobosuiteEnv(EnvSettings(task, image_size=16, render_profile="fastest"))
     observation, _ = env.reset(seed=5)
     for _ in range(4):
         shown = ours.get_observation()
