@@ -175,12 +175,15 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
         if self._phase is Phase.EPISODE:
             self._journal.add(vector)
         if scene.ended and not had_ended:
-            self._tell_end()
+            self._tell_outcome()
+            self._ask_for_next()
         return dict(zip(ACTION_NAMES, executed.tolist(), strict=True))
 
     def disconnect(self) -> None:
         """Writes the record of what was kept, and gives simulation, log, signals and keyboard back."""
         scene = self._connected()
+        if scene.steps and not scene.ended:
+            self._tell_outcome()
         self._close_episode()
         self._scene = None
         self._announcements.stop()
@@ -262,11 +265,14 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
             self._journal.keep(len(self._session.kept) - 1, episode)
         self._journal.begin_episode()
 
-    def _tell_end(self) -> None:
-        """Says how the episode ended, and asks LeRobot for the next one where it records."""
+    def _tell_outcome(self) -> None:
+        """Says how the episode ended, or how far it came."""
         scene = self._connected()
         outcome = "success" if scene.succeeded else "no success"
         logger.info("Seed %d: %s after %d steps (%.1f s).", scene.seed, outcome, scene.steps, scene.steps / FPS)
+
+    def _ask_for_next(self) -> None:
+        """Asks LeRobot for the next episode, where it records."""
         if self._phase is Phase.EPISODE and not keyboard().press("next"):
             logger.warning("LeRobot reads no keys here: the episode goes on, without motion, until its time is over.")
 

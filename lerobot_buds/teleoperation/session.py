@@ -87,7 +87,13 @@ class Session:
         Raises:
             DatasetError: There is no dataset in the folder, it is another one, or has another rate.
         """
-        if self._counts or self.root is None:
+        if self._counts:
+            return
+        if self.root is None:
+            logger.warning(
+                "How this dataset comes about is not written into it: say where it is by --robot.dataset_root."
+            )
+            self._counts = True
             return
         if not (self.root / "meta/info.json").exists():
             raise DatasetError(f"There is no dataset in {self.root}: give --robot.dataset_root as --dataset.root.")
@@ -115,9 +121,8 @@ class Session:
         Raises:
             StorageError: The record cannot be written.
         """
-        if not self._counts:
+        if not self._counts or self.root is None:
             return None
-        assert self.root is not None
         kept, self._open = self._open, None
         if kept is not None and self._saved() == len(self.kept) + 1:
             self.kept.append(kept)

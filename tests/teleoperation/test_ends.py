@@ -5,7 +5,7 @@ import signal
 
 import numpy as np
 import pytest
-from lerobot.datasets import LeRobotDataset
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 
 from lerobot_buds.cli.collect import CollectConfig, do_again
 from lerobot_buds.core import ACTION, STATE, DatasetError
@@ -109,6 +109,24 @@ def test_what_a_kill_destroys_is_done_again_from_the_journal(interrupted, tmp_pa
     assert (task["episode_seeds"], task["succeeded"]) == ([3, 4], [False, False])
     with pytest.raises(DatasetError, match="exists already"):
         do_again(config, journal)
+
+
+def test_a_save_that_is_interrupted_leaves_the_journal(record, tmp_path, monkeypatch, said):
+    """Ctrl-C between LeRobot's table of frames and its table of episodes: the two tell of different episodes."""
+    save = LeRobotDatasetMetadata.save_episode
+
+    def interrupted(meta, number, *arguments):
+        if number == 1:
+            raise KeyboardInterrupt
+        save(meta, number, *arguments)
+
+    monkeypatch.setattr(LeRobotDatasetMetadata, "save_episode", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        record(TASK, SEEDS, **{"robot.episode_length": LENGTH})
+    root = tmp_path / "recorded"
+    assert any("--journal=" in line for line in said)
+    assert len(restore(journal_of(root), "tests/again", tmp_path / "again", video=False).kept) == 1
+    assert lengths_of(tmp_path / "again") == [LENGTH]
 
 
 def test_a_journal_that_was_left_is_not_mixed_with(interrupted, tmp_path):

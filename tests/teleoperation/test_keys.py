@@ -1,9 +1,11 @@
 """Keys reach LeRobot's listener, from robot, page and terminal, and the terminal is given back as it was."""
 
 import os
+import subprocess
 import sys
 import termios
 import time
+from pathlib import Path
 
 import pytest
 from lerobot.utils.keyboard_input import init_keyboard_listener
@@ -100,3 +102,31 @@ def test_it_opens_again_after_a_recording(listening):
     assert not os.isatty(0)
     keyboard().open()
     assert os.isatty(0)
+
+
+@pytest.fixture
+def display():
+    """An X display of its own."""
+    read, write = os.pipe()
+    server = subprocess.Popen(["Xvfb", "-displayfd", str(write), "-nolisten", "tcp"], pass_fds=[write])
+    os.close(write)
+    with os.fdopen(read) as told:
+        number = told.readline().strip()
+    yield f":{number}"
+    server.terminate()
+    server.wait()
+
+
+def test_keys_are_pressed_on_a_display_where_lerobot_reads_it(display):
+    program = Path(__file__).with_name("press_on_display.py")
+    environment = {**os.environ, "DISPLAY": display, "XDG_SESSION_TYPE": "x11"}
+    environment.pop("WAYLAND_DISPLAY", None)
+    done = subprocess.run(
+        [sys.executable, program],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert "HEARD ['exit_early', 'rerecord_episode', 'stop_recording']" in done.stdout, done.stderr

@@ -122,3 +122,23 @@ def train(run, folder):
         },
     )
     assert (folder / "policy/checkpoints/last/pretrained_model/model.safetensors").exists()
+
+
+def test_scenes_follow_one_another_under_teleoperate(run, scripted, said):
+    task = "tool_use/cube_fetched"
+    run(
+        "lerobot_teleoperate",
+        **{
+            "robot.type": "robosuite_sim",
+            "robot.task": task,
+            "robot.image_size": 16,
+            "robot.render_profile": "fastest",
+            "robot.episode_length": 5,
+            "teleop.type": "scripted",
+            "teleop.task": task,
+            "teleop.seeds": "[]",
+            "fps": 20,
+            "teleop_time_s": 2,
+        },
+    )
+    assert said[:2] == [f"Seed {seed}: no success after 5 steps (0.2 s)." for seed in (0, 1)]

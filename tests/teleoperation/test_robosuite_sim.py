@@ -165,6 +165,13 @@ def test_a_person_does_not_demonstrate_from_seeds_for_evaluation_and_a_policy_ma
         act(policys)
 
 
+def test_how_far_an_episode_came_is_said_at_the_end(robot, caplog):
+    ours = robot(seed=9)
+    act(ours, 2)
+    ours.disconnect()
+    assert "Seed 9: no success after 2 steps (0.1 s)." in caplog.messages
+
+
 def test_it_must_be_connected(robot):
     ours = robot()
     ours.disconnect()
