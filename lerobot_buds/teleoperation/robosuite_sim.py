@@ -119,7 +119,7 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
         self._journal = Journal(root, settings)
         self._journal.require_none()
         scene = Scene(settings, config.end_after_success_s)
-        scene.begin(max(config.seed, self._session.next_seed))
+        scene.begin(config.seed)
         self._scene = scene
         if not self._announcements.listen():
             logger.warning("LeRobot's log is off (below INFO), so that the robot cannot tell when episodes begin.")
@@ -223,6 +223,8 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
                 self._session.start(number, FPS)
                 self._settle()
                 self._next_scene()
+                if self._connected().seed < self._session.next_seed:  # this goes on with an earlier recording
+                    self._connected().begin(self._session.next_seed)
                 self._refuse_evaluation_seeds(by_policy=self._by_policy)
                 self._phase = Phase.EPISODE
             elif what is Announcement.RESET:
@@ -237,6 +239,7 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
             elif what is Announcement.PAUSE:
                 self._phase = Phase.PAUSED
             elif what is Announcement.CORRECTION:
+                self._refuse_evaluation_seeds(by_policy=False)
                 self._phase = Phase.CORRECTION
             elif what is Announcement.CORRECTION_SAVED:
                 self._close_episode()

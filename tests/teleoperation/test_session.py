@@ -4,10 +4,12 @@ import math
 
 import pytest
 from lerobot.datasets import LeRobotDataset
+from lerobot.robots import make_robot_from_config
 
 from lerobot_buds.core import DatasetError
 from lerobot_buds.data import read_collection
 from lerobot_buds.envs import EnvSettings
+from lerobot_buds.teleoperation.config_robosuite_sim import RobosuiteSimConfig
 from lerobot_buds.teleoperation.pace import Pace
 from lerobot_buds.teleoperation.session import Episode, Session
 
@@ -29,6 +31,12 @@ def test_a_recording_goes_on_with_seeds_that_were_not_used(record, resumed):
     assert LeRobotDataset("tests/recorded", root=root).num_episodes == 3
     (task,) = read_collection(root)["tasks"]
     assert task["episode_seeds"] == [3, 4, 5] and task["demonstrators"] == ["teleoperated"] * 3
+
+    replays = {"task": TASK, "image_size": 32, "render_profile": "fastest", "dataset_root": str(root), "seed": 1}
+    robot = make_robot_from_config(RobosuiteSimConfig(**replays))
+    robot.connect()
+    assert robot.facts()["seed"] == 1  # a replay has the seed that it was given
+    robot.disconnect()
 
     with pytest.raises(DatasetError, match=r"was recorded with.*'fastest'.*not with.*'fast'"):
         resumed(TASK, [3], **SHORT, **{"robot.render_profile": "fast"})
