@@ -27,6 +27,8 @@ BESIDE = {
     "teleoperation": [
         "lerobot_buds.teleoperation.config_robosuite_sim.RobosuiteSimConfig",
         "lerobot_buds.teleoperation.robosuite_sim.RobosuiteSim",
+        "lerobot_buds.teleoperation.config_robosuite_hand.RobosuiteHandConfig",
+        "lerobot_buds.teleoperation.robosuite_hand.RobosuiteHand",
     ],
     "policy": ["lerobot_buds.policy.modeling_buds.BudsPolicy"],
     "cli": [

@@ -32,7 +32,6 @@ THEIRS = {
 STANDS_FOR = {
     "--policy.kl_weight": "1e-4",
     "--policy.decoder_sees_skill": "true",
-    "--teleop.type": "keyboard",
 }  # what "..." is, where no text will do
 NEEDS = {
     "lerobot-train": ["--dataset.repo_id=x", "--policy.type=buds"],

@@ -8,6 +8,7 @@ from lerobot.utils.errors import DeviceNotConnectedError
 
 from lerobot_buds.envs import ACTION_NAMES
 
+from .announcements import Announcement, Announcements
 from .config_robosuite_hand import RobosuiteHandConfig
 from .devices import Device, Gamepad, Keyboard, PageKeys, SpaceMouse
 from .displacement import DisplacementStep
@@ -30,6 +31,7 @@ class RobosuiteHand(Teleoperator):  # type: ignore[misc]  # LeRobot ships no typ
         self.config = config
         self._step = DisplacementStep(config.speed)
         self._device: Device | None = None
+        self._announcements = Announcements()
 
     @property
     def action_features(self) -> dict[str, type]:
@@ -65,6 +67,7 @@ class RobosuiteHand(Teleoperator):  # type: ignore[misc]  # LeRobot ships no typ
             device.connect()
             self._device = device
             self._step.reset()
+            self._announcements.listen()
 
     def calibrate(self) -> None:
         """Does nothing."""
@@ -81,6 +84,8 @@ class RobosuiteHand(Teleoperator):  # type: ignore[misc]  # LeRobot ships no typ
         """
         if self._device is None:
             raise DeviceNotConnectedError(f"The {self.config.device} is not open: connect() comes first.")
+        if any(what is Announcement.EPISODE for what, _ in self._announcements.heard()):
+            self._step.reset()  # the hand is open again, whatever was last asked for
         return self._step.action(self._device.read())
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
@@ -88,6 +93,7 @@ class RobosuiteHand(Teleoperator):  # type: ignore[misc]  # LeRobot ships no typ
 
     def disconnect(self) -> None:
         """Closes the device; may be called twice."""
+        self._announcements.stop()
         device, self._device = self._device, None
         if device is not None:
             device.disconnect()

@@ -24,8 +24,9 @@ from .announcements import Announcement, Announcements
 from .config_robosuite_sim import RobosuiteSimConfig
 from .ending import OrderlyEnd
 from .journal import Journal
-from .keys import keyboard
+from .keys import keyboard, press
 from .pace import Pace
+from .page import open_page
 from .scene import Scene, vector_of
 from .session import Episode, Session
 
@@ -145,6 +146,9 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
         else:
             self.pace.tick()
         self._may_act = True
+        if page := open_page():
+            page.on_press = press
+            page.show({name: scene.shown[name] for name in CAMERAS}, self.facts())
         return scene.shown
 
     def send_action(self, action: dict[str, float]) -> dict[str, float]:

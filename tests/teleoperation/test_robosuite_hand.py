@@ -1,5 +1,6 @@
 """The teleoperator with every device but the page, by stand-ins where a device would have to be plugged in."""
 
+import logging
 import sys
 from types import ModuleType, SimpleNamespace
 
@@ -154,6 +155,17 @@ def test_escape_ends_after_the_frame_that_a_recording_is_in(keyboard):
         hand.get_action()
     hand.disconnect()
     assert not hand.is_connected
+
+
+def test_an_episode_begins_with_an_open_hand(keyboard, caplog):
+    hand, keys = keyboard
+    keys.event_queue.put(("j", True))
+    with caplog.at_level("INFO"):
+        assert given(hand)[3] == 1
+        keys.event_queue.put(("j", False))
+        assert given(hand)[3] == 1
+        logging.info("Recording episode 1")  # as LeRobot does
+        assert given(hand)[3] == -1
 
 
 def test_a_keyboard_that_cannot_be_heard(hand, monkeypatch):

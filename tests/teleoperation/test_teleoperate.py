@@ -22,7 +22,6 @@ pytestmark = [
 ]
 
 ROOT = Path(__file__).parents[2]
-ROBOT, SETTINGS = "bare_environment", {"task": "tool_use/cube_fetched"}
 HAND = ["eef_x.pos", "eef_y.pos", "eef_z.pos"]
 STARTS_S, ANSWERS_S = 120.0, 20.0
 MOVES = {"w": (0, -1), "s": (0, 1), "a": (1, -1), "d": (1, 1), "i": (2, 1), "k": (2, -1)}
@@ -47,13 +46,13 @@ class Session:
         environment = {
             name: value for name, value in os.environ.items() if name not in ("WAYLAND_DISPLAY", "XDG_SESSION_TYPE")
         }
-        robots = Path(__file__).parent / "robots"
-        self.environment = environment | {"DISPLAY": display, "PYTHONPATH": f"{ROOT}{os.pathsep}{robots}"}
+        plugins = Path(__file__).parent / "plugins"
+        self.environment = environment | {"DISPLAY": display, "PYTHONPATH": f"{ROOT}{os.pathsep}{plugins}"}
         options = {
             "robot.discover_packages_path": "lerobot_robot_traced",
             "robot.type": "traced",
-            "robot.robot": ROBOT,
-            "robot.settings": json.dumps(SETTINGS),
+            "robot.image_size": 32,
+            "robot.render_profile": "fastest",
             "robot.trace": self.trace,
             "teleop.type": "robosuite_hand",
             "teleop.device": "keyboard",
