@@ -1,6 +1,5 @@
 """How fast latents become labels: the tree of one demonstration, many demonstrations, many segments."""
 
-import resource
 from collections.abc import Iterator
 from functools import partial
 
@@ -10,7 +9,7 @@ from lerobot_buds.segmentation import SkillDiscovery, build_tree
 from lerobot_buds.segmentation.clustering import cluster
 from lerobot_buds.segmentation.tree import window_bounds
 
-from .figures import Figure, Setting, alone, median_seconds, once
+from .figures import Figure, Setting, alone, largest_memory, median_seconds, once
 
 WINDOW, DIMS, PENALTY, SKILLS = 10, 32, 0.2, 8
 LONGEST_FOR_THE_LOOP = 1_000
@@ -63,6 +62,6 @@ def partition(segments: int) -> tuple[float, float]:
     rng = np.random.default_rng(0)
     features = 3 * rng.normal(size=(SKILLS, 3 * DIMS))[rng.integers(SKILLS, size=segments)]
     features += rng.normal(size=features.shape)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before = largest_memory()
     seconds = once(lambda: cluster(features, SKILLS, 0))
-    return seconds, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 2**20
+    return seconds, largest_memory() - before

@@ -104,6 +104,13 @@ def alone[**P, T](work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         return pool.submit(work, *args, **kwargs).result()
 
 
+def largest_memory() -> float:
+    """Tells how much memory this process has had at most (GiB), without its parent's, which `getrusage` counts."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    (kibibytes,) = (line.split()[1] for line in lines if line.startswith("VmHWM:"))
+    return int(kibibytes) / 2**20
+
+
 def once(work: Callable[[], object]) -> float:
     """Times some work that cannot be repeated (s)."""
     began = time.perf_counter()

@@ -6,7 +6,6 @@ frames are decoded one after the other, into a store of known size, and add time
 """
 
 import json
-import resource
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +22,7 @@ from lerobot_buds.data.writing import create_dataset, vector_feature, write_epis
 from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
 from lerobot_buds.segmentation import DiscoveryConfig, SegmentationRecord, write_segmented_dataset
 
-from .figures import Figure, Setting, alone
+from .figures import Figure, Setting, alone, largest_memory
 
 FPS, SECONDS, STAGES, STEPS = 30, 8, 4, 200
 _PARTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
@@ -61,9 +60,7 @@ def _segmented(folder: Path, episodes: int) -> list[Figure]:
     record = SegmentationRecord.of_labels(discovery.labels_, repo_id="local/scale", fps=FPS, horizon=horizon)
     write_segmented_dataset(root, folder / "skills", "local/scale_skills", record)
     done("writing the copy")
-    figures.append(
-        Figure("largest memory", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, "GiB", at=episodes)
-    )
+    figures.append(Figure("largest memory", largest_memory(), "GiB", at=episodes))
     return figures
 
 
