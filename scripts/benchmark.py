@@ -10,7 +10,7 @@ Quote ratios within one run: machines of the same kind differ from day to day.
 import importlib
 import os
 import platform
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -50,7 +50,7 @@ class BenchmarkConfig:
     """``usual``, the paper's networks and images, or ``tiny``, which says nothing of speed."""
 
     output: Path = Path("outputs/benchmark")
-    """Folder for ``benchmark.json`` and the plots."""
+    """Folder for ``benchmark.json``, its tables and the plots."""
 
     device: str = "cpu"
     """Where networks run."""
@@ -60,6 +60,9 @@ class BenchmarkConfig:
 
     threads: int = 2
     """Threads of PyTorch."""
+
+    demonstrations: list[int] = field(default_factory=list)
+    """Numbers of demonstrations for the part ``scale``; those of the size where none is given."""
 
     only: str = ""
     """Part of the name of the trainings and policies that are timed alone."""
@@ -76,6 +79,8 @@ def measured(config: BenchmarkConfig) -> dict[str, list[Figure]]:
             if wanted not in known:
                 raise ConfigError(f"There is no {name} {wanted!r}. {near_names(wanted, known)}")
     size = SIZES[config.size]
+    if config.demonstrations:
+        size = replace(size, demonstrations=tuple(config.demonstrations))
     torch.set_num_threads(config.threads)
     results: dict[str, list[Figure]] = {}
     for part in config.parts:
@@ -93,14 +98,35 @@ def measured(config: BenchmarkConfig) -> dict[str, list[Figure]]:
 def in_words(figure: Figure, figures: list[Figure]) -> str:
     """Writes a figure as a line, with how it compares."""
     name = figure.what if figure.at is None else f"{figure.what}, {figure.at}"
-    line = f"  {name:<48} {figure.value:>10.3g} {figure.unit}"
+    line = f"  {name:<48} {number(figure.value):>10} {figure.unit}"
     other = compared(figure, figures)
     return line if other is None else f"{line}, {figure.times(other):.2f} times {other.what}"
+
+
+def number(value: float) -> str:
+    """Writes a value with three digits, or all before the point."""
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def compared(figure: Figure, figures: list[Figure]) -> Figure | None:
     """Finds what a figure is compared with, unless it was not asked for."""
     return next((other for other in figures if other.what == figure.against), None)
+
+
+def in_table(results: dict[str, list[Figure]]) -> str:
+    """Writes what has no place on an axis as tables in Markdown, one a part."""
+    lines = []
+    for part, figures in results.items():
+        rows = [figure for figure in figures if figure.at is None]
+        if not rows:
+            continue
+        lines += [f"| {part} | figure | against |", "|---|---|---|"]
+        for figure in rows:
+            other = compared(figure, figures)
+            against = "" if other is None else f"{figure.times(other):.2f} times {other.what}"
+            lines.append(f"| {figure.what} | {number(figure.value)} {figure.unit} | {against} |")
+        lines.append("")
+    return "\n".join(lines)
 
 
 def described(config: BenchmarkConfig, results: dict[str, list[Figure]]) -> dict[str, Any]:
@@ -145,7 +171,8 @@ def main() -> None:
     for part, axis in (("growth", "skills"), ("scale", "demonstrations")):
         if part in results:
             draw(results[part], config.output / f"{part}.png", axis)
-    print(f"All of it is in {config.output / 'benchmark.json'}.")
+    (config.output / "benchmark.md").write_text(in_table(results), encoding="utf-8")
+    print(f"All of it is in {config.output}.")
 
 
 if __name__ == "__main__":

@@ -63,6 +63,26 @@ def test_less_time_and_a_higher_rate_are_more(script: ModuleType) -> None:
     assert replace(rate, value=1.0).times(rate) == 0.5
 
 
+def test_tables_say_how_figures_compare(script: ModuleType) -> None:
+    slow, fast = script.Figure("slow", 2.0, "s"), script.Figure("fast", 0.5, "s", against="slow")
+    table = script.in_table({"part": [slow, fast, script.Figure("grows", 1.0, "s", at=3)]})
+    assert table.splitlines()[2:4] == ["| slow | 2 s |  |", "| fast | 0.5 s | 4.00 times slow |"]
+    assert "grows" not in table
+
+
+def test_the_page_has_the_tables_of_its_file(script: ModuleType) -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    kept = read_json(docs / "performance/cpu.json")["figures"]
+    figures = {
+        part: [script.Figure(**{key: value for key, value in told.items() if key != "times"}) for told in kept[part]]
+        for part in script.PARTS
+    }
+    tables = (
+        (docs / "performance.md").read_text().partition("<!-- benchmark -->")[2].partition("<!-- /benchmark -->")[0]
+    )
+    assert tables.strip() == script.in_table(figures).strip()
+
+
 def test_growth_is_drawn_by_unit(script: ModuleType, tmp_path: Path) -> None:
     figures = [script.Figure("update", 0.1 * at, unit, at=at) for at in (1, 3) for unit in ("s", "ms")]
     script.draw(figures, tmp_path / "growth.png", "skills")
