@@ -7,6 +7,9 @@ from lerobot.robots import RobotConfig
 from lerobot_buds.core import ConfigError
 from lerobot_buds.envs import profile_named, tasks_named
 
+SMALLEST_IMAGE = 32
+"""The least that LeRobot's video encoder takes (pixels): of smaller images it ends its process, or never ends."""
+
 
 @RobotConfig.register_subclass("robosuite_sim")
 @dataclass(kw_only=True)
@@ -15,7 +18,7 @@ class RobosuiteSimConfig(RobotConfig):  # type: ignore[misc]  # LeRobot ships no
 
     Attributes:
         task: Name of one task, ``suite/task``.
-        image_size: Height and width of both cameras (pixels).
+        image_size: Height and width of both cameras (pixels), at least `SMALLEST_IMAGE`.
         render_profile: What is drawn: ``fast``, ``fastest`` or ``full``.
         seed: Seed of the first episode; each further one takes the next. Seeds from 100000 on are for evaluation.
         end_after_success_s: An episode ends by itself once success has held for so long (s); None: it never does.
@@ -41,7 +44,7 @@ class RobosuiteSimConfig(RobotConfig):  # type: ignore[misc]  # LeRobot ships no
         if len(tasks) != 1:
             raise ConfigError(f"robot.task={self.task!r} names {len(tasks)} tasks; one robot runs exactly one.")
         profile_named(self.render_profile)
-        for name, least in (("image_size", 1), ("seed", 0), ("episode_length", 1)):
+        for name, least in (("image_size", SMALLEST_IMAGE), ("seed", 0), ("episode_length", 1)):
             value = getattr(self, name)
             if value is not None and value < least:
                 raise ConfigError(f"robot.{name}={value} cannot work; it must be at least {least}.")

@@ -10,12 +10,22 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE, DatasetError, read_json, staged_directory, write_json
+from lerobot_buds.core import (
+    ACTION,
+    IMAGE_PREFIX,
+    STATE,
+    DatasetError,
+    SimulatorError,
+    read_json,
+    staged_directory,
+    write_json,
+)
 from lerobot_buds.data.joining import join_parts
 from lerobot_buds.data.parts import write_part
 from lerobot_buds.data.writing import camera_feature, require_encodable, vector_feature
@@ -117,7 +127,7 @@ def restore(journal: Path, repo_id: str, root: Path, video: bool, text: str | No
 
     Raises:
         DatasetError: The journal is empty or damaged, or the dataset exists.
-        SimulatorError: The simulator is missing or failed.
+        SimulatorError: The simulator is missing or failed, or an episode came out otherwise than it was recorded.
         StorageError: The disk is full, or cannot be written.
     """
     if root.exists():
@@ -125,7 +135,7 @@ def restore(journal: Path, repo_id: str, root: Path, video: bool, text: str | No
     try:
         settings = EnvSettings(**read_json(journal / SETTINGS_FILE))
         stored = [read_json(path) for path in sorted(journal.glob("[0-9]*.json"))]
-        rows = [(Episode(*(e[k] for k in ("seed", "succeeded", "demonstrator"))), e["actions"]) for e in stored]
+        rows = [_row(episode) for episode in stored]
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise DatasetError(f"{journal} is no journal of a recording on the simulated robot ({error}).") from error
     if not rows:
@@ -140,6 +150,20 @@ def restore(journal: Path, repo_id: str, root: Path, video: bool, text: str | No
         (staging / "joined").rmdir()
         session.write(staging)
     return session
+
+
+def _row(stored: dict[str, Any]) -> tuple[Episode, NDArray[np.float32]]:
+    """Takes an episode of the journal apart: what is known of it, and its actions, (T, 4) float32.
+
+    Raises:
+        KeyError, TypeError, ValueError: Something is missing in it, or is not what it should be.
+    """
+    actions = np.array(stored["actions"], dtype=np.float32)
+    if actions.ndim != 2 or actions.shape[1] != len(ACTION_NAMES):
+        raise ValueError(f"actions of shape {actions.shape}, not (T, {len(ACTION_NAMES)})")
+    if not isinstance(stored["seed"], int):
+        raise ValueError(f"seed {stored['seed']!r}")
+    return Episode(*(stored[key] for key in ("seed", "succeeded", "demonstrator"))), actions
 
 
 def _is_whole(root: Path) -> bool:
@@ -157,7 +181,7 @@ def _parts(
     folder: Path,
     repo_id: str,
     settings: EnvSettings,
-    rows: list[tuple[Episode, list[list[float]]]],
+    rows: list[tuple[Episode, NDArray[np.float32]]],
     video: bool,
     text: str | None,
 ) -> Iterator[Path]:
@@ -175,11 +199,16 @@ def _parts(
         for number, (episode, actions) in enumerate(rows):
             assert episode.seed is not None
             scene.begin(episode.seed)
-            columns = {ACTION: np.array(actions, dtype=np.float32)}
+            columns = {ACTION: actions}
             shown = []
-            for action in columns[ACTION]:
+            for action in actions:
                 shown.append(scene.shown)
                 scene.act(action)
+            if scene.succeeded != episode.succeeded:
+                raise SimulatorError(
+                    f"Episode {number} (seed {episode.seed}) came out otherwise than it was recorded: this simulator "
+                    "moves differently. Do it again with the MuJoCo and robosuite that it was recorded with."
+                )
             columns[STATE] = np.array([[each[name] for name in STATE_NAMES] for each in shown], dtype=np.float32)
             columns |= {IMAGE_PREFIX + camera: np.stack([each[camera] for each in shown]) for camera in CAMERAS}
             part = folder / f"{number:06d}"

@@ -98,15 +98,17 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Serves the page, and its stream."""
-        parts = urlsplit(self.path)
+        try:
+            parts = urlsplit(self.path)
+        except ValueError:
+            return self._refuse(HTTPStatus.BAD_REQUEST)
         if parts.path == "/" and self._admits(parse_qs(parts.query).get("token", [""])[0], navigating=True):
             document, policy = self.server.document
             headers = {"Content-Type": "text/html; charset=utf-8", "Content-Security-Policy": policy}
-            self._answer(HTTPStatus.OK, document, headers)
-        elif parts.path == "/stream" and self._admits(self.headers.get("X-Token", "")):
-            self._stream()
-        else:
-            self._refuse(HTTPStatus.FORBIDDEN)
+            return self._answer(HTTPStatus.OK, document, headers)
+        if parts.path == "/stream" and self._admits(self.headers.get("X-Token", "")):
+            return self._stream()
+        return self._refuse(HTTPStatus.FORBIDDEN)
 
     def do_POST(self) -> None:
         """Takes in keys that are held, and buttons that are pressed."""
@@ -118,7 +120,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             said = json.loads(self.rfile.read(int(length)))
             status = self._take(said) if isinstance(said, dict) else HTTPStatus.BAD_REQUEST
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             status = HTTPStatus.BAD_REQUEST
         return self._answer(status)
 

@@ -16,7 +16,7 @@ from typing import Any
 from lerobot.robots import Robot
 from lerobot.utils.errors import DeviceNotConnectedError
 
-from lerobot_buds.core import ConfigError, SimulatorError
+from lerobot_buds.core import ConfigError
 from lerobot_buds.demos.recording import EVALUATION_SEEDS
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings
 
@@ -115,7 +115,7 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
         """
         config = self.config
         settings = EnvSettings(config.task, config.episode_length, config.image_size, config.render_profile)
-        root = None if config.dataset_root is None else Path(config.dataset_root)
+        root = None if config.dataset_root is None else Path(config.dataset_root).resolve()
         self._session = Session.begin(root, settings)
         self._journal = Journal(root, settings)
         self._journal.require_none()
@@ -167,15 +167,13 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
             SimulatorError: Names are missing, or the action or the simulation is not finite.
         """
         scene = self._connected()
-        missing = [name for name in ACTION_NAMES if name not in action]
-        if missing and len(missing) < len(ACTION_NAMES):
-            raise SimulatorError(f"The action lacks {missing}; the robot is told {ACTION_NAMES}.")
+        vector = vector_of(action)
         moves = self._phase in (Phase.FREE, Phase.CORRECTION) or (self._phase is Phase.EPISODE and not scene.ended)
-        if missing or not self._may_act or not moves:
+        if vector is None or not self._may_act or not moves:
             return dict.fromkeys(ACTION_NAMES, 0.0)
         self._may_act = False
         had_ended = scene.ended
-        executed = scene.act(vector := vector_of(action))
+        executed = scene.act(vector)
         if self._phase is Phase.EPISODE:
             self._journal.add(vector)
         if scene.ended and not had_ended:
@@ -256,6 +254,8 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
         """Sets up the scene of the next seed, unless this one is untouched."""
         scene = self._connected()
         if scene.steps:
+            if not scene.ended:  # LeRobot or its user ended the episode; else its outcome was told
+                self._tell_outcome()
             scene.begin(scene.seed + 1)
         self.pace.pause()
 

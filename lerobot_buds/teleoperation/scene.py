@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_buds.core import OUR_FORMER_ACTION, SimulatorError
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, RobosuiteEnv, tasks_named
 
 
@@ -87,6 +88,22 @@ class Scene:
         self._stages_done = info["stages_done"]
 
 
-def vector_of(action: dict[str, float]) -> NDArray[np.float32]:
-    """Puts a named action in our order: (4,) float32."""
-    return np.array([action[name] for name in ACTION_NAMES], dtype=np.float32)
+def vector_of(action: dict[str, float]) -> NDArray[np.float32] | None:
+    """Puts a named action in our order.
+
+    Args:
+        action: Values by `ACTION_NAMES`, or by the names that recordings had before there was a robot.
+
+    Returns:
+        (4,) float32; None for joint positions, by which LeRobot sends an arm back to where it began.
+
+    Raises:
+        SimulatorError: Names are missing.
+    """
+    for names in (ACTION_NAMES, OUR_FORMER_ACTION):
+        if set(names) <= action.keys():
+            return np.array([action[name] for name in names], dtype=np.float32)
+    if action.keys() <= set(STATE_NAMES):
+        return None
+    missing = [name for name in ACTION_NAMES if name not in action]
+    raise SimulatorError(f"The action lacks {missing}; the robot is told {ACTION_NAMES}.")

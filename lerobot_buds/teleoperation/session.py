@@ -10,6 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
+
 from lerobot_buds.core import COLLECTION_FILE, DatasetError, read_json, same_rate, write_json
 from lerobot_buds.data import LocalDataset, read_collection
 from lerobot_buds.data.collection import RECORD_VERSION
@@ -48,6 +50,7 @@ class Session:
     kept: list[Episode] = field(default_factory=list)
     _open: Episode | None = None
     _counts: bool = False
+    _text_was_read: bool = False
 
     @classmethod
     def begin(cls, root: Path | None, settings: EnvSettings) -> "Session":
@@ -126,6 +129,7 @@ class Session:
         kept, self._open = self._open, None
         if kept is not None and self._saved() == len(self.kept) + 1:
             self.kept.append(kept)
+            self._warn_of_another_text(self.root)
         else:
             kept = None
         self._align()
@@ -147,6 +151,21 @@ class Session:
     def _saved(self) -> int:
         assert self.root is not None
         return int(read_json(self.root / "meta/info.json")["total_episodes"])
+
+    def _warn_of_another_text(self, root: Path) -> None:
+        """Says so, once, if the episodes are told to do something in other words than the task's own."""
+        (task,) = tasks_named(self.settings.task)
+        texts = pq.read_table(root / "meta/tasks.parquet").to_pandas().index
+        others = sorted(set(texts) - {task.description})
+        if others and not self._text_was_read:
+            logger.warning(
+                "The task is called %r here, and %r in the environment. A policy that is trained on this knows the "
+                "former alone, and lerobot-eval names the latter: record with --dataset.single_task=%r.",
+                others[0],
+                task.description,
+                task.description,
+            )
+        self._text_was_read = True
 
     def _align(self) -> None:
         """Makes the list as long as the dataset; of what was recorded without us nothing is known."""

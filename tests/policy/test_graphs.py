@@ -212,7 +212,7 @@ def test_frozen_skills_are_part_of_a_graph(pair, build, batch_of, tmp_path):
 
 
 def test_a_run_with_the_setting_goes_on_after_a_checkpoint(run_script, command, dataset_root, tmp_path, monkeypatch):
-    """On a CPU the setting changes nothing but the optimiser's kind, and that at the resumed run as well."""
+    """On a CPU the setting changes nothing."""
     monkeypatch.setattr(BudsPolicy, "_replays", False)
     settings = {"policy.cuda_graphs": True, "batch_size": 8, "steps": 2, "save_freq": 1}
     run_script(lerobot_train.main, *command(dataset_root, output_dir=tmp_path / "run", **settings))

@@ -8,7 +8,7 @@ import pytest
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 
 from lerobot_buds.cli.collect import CollectConfig, do_again
-from lerobot_buds.core import ACTION, STATE, DatasetError
+from lerobot_buds.core import ACTION, STATE, DatasetError, SimulatorError, write_json
 from lerobot_buds.data import read_collection
 from lerobot_buds.teleoperation.journal import journal_of, restore
 from lerobot_buds.teleoperation.keys import press
@@ -127,6 +127,25 @@ def test_a_save_that_is_interrupted_leaves_the_journal(record, tmp_path, monkeyp
     assert any("--journal=" in line for line in said)
     assert len(restore(journal_of(root), "tests/again", tmp_path / "again", video=False).kept) == 1
     assert lengths_of(tmp_path / "again") == [LENGTH]
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "message"),
+    [
+        ({"actions": [[0.0, 0.0, 1.0]]}, DatasetError, r"actions of shape \(1, 3\)"),
+        ({"actions": []}, DatasetError, r"actions of shape \(0,\)"),
+        ({"actions": [[0.0], [0.0, 0.0]]}, DatasetError, "inhomogeneous"),
+        ({"seed": None}, DatasetError, "seed None"),
+        ({"succeeded": True}, SimulatorError, r"Episode 0 \(seed 3\) came out otherwise"),
+    ],
+)
+def test_a_journal_that_does_not_fit_is_refused(tmp_path, changed, error, message):
+    journal, episode = tmp_path / ".x.journal", {"seed": 3, "succeeded": False, "demonstrator": "teleoperated"}
+    write_json(journal / "settings.json", {"task": TASK, "image_size": 32, "render_profile": "fastest"})
+    write_json(journal / "000000.json", {**episode, "actions": [[0.0] * 4] * 2, **changed})
+    with pytest.raises(error, match=message):
+        restore(journal, "tests/again", tmp_path / "again", video=False)
+    assert not (tmp_path / "again").exists()
 
 
 def test_a_journal_that_was_left_is_not_mixed_with(interrupted, tmp_path):

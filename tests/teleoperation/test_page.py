@@ -146,6 +146,8 @@ def test_through_a_tunnel_with_another_port_it_answers(page):
         ("/keys", "{", 400),
         ("/keys", '{"page": "x", "number": "many", "held": ["w"]}', 400),
         ("/keys", '{"page": "x", "number": 0, "held": 3}', 400),
+        ("/keys", '{"page": "x", "number": 1e999, "held": ["w"]}', 400),
+        ("/keys", "[" * 2000, 400),
         ("/keys", "\xff", 400),
         ("/press", '{"name": "format"}', 400),
         ("/press", '{"name": ["next"]}', 400),
@@ -158,6 +160,12 @@ def test_what_makes_no_sense_is_refused(page, path, body, status):
     with ask(page, path, "POST", body.encode("latin-1"), X_Token=page.token) as answer:
         assert (answer.status, answer.read()) == (status, b"")
     assert not page.held()
+
+
+def test_an_address_that_is_none_is_refused(page):
+    with socket.create_connection(("127.0.0.1", page.port), timeout=5) as connection:
+        connection.sendall(b"GET http://[bad/ HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert b" 400 " in connection.recv(4096)
 
 
 def test_a_body_of_unknown_length_is_not_read(page):

@@ -131,7 +131,7 @@ def test_scenes_follow_one_another_under_teleoperate(run, scripted, said):
         **{
             "robot.type": "robosuite_sim",
             "robot.task": task,
-            "robot.image_size": 16,
+            "robot.image_size": 32,
             "robot.render_profile": "fastest",
             "robot.episode_length": 5,
             "teleop.type": "scripted",

@@ -7,12 +7,14 @@ import pytest
 from lerobot.robots import make_robot_from_config
 from lerobot.utils.errors import DeviceNotConnectedError
 
-from lerobot_buds.core import ConfigError, SimulatorError
+from lerobot_buds.core import OUR_FORMER_ACTION, ConfigError, SimulatorError
+from lerobot_buds.data.writing import SMALLEST_VIDEO
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, STATE_NAMES, EnvSettings, RobosuiteEnv
-from lerobot_buds.teleoperation.config_robosuite_sim import RobosuiteSimConfig
+from lerobot_buds.teleoperation.config_robosuite_sim import SMALLEST_IMAGE, RobosuiteSimConfig
 
 TASK = "tool_use/cube_fetched"
-SETTINGS = {"task": TASK, "image_size": 16, "render_profile": "fastest"}
+SETTINGS = {"task": TASK, "image_size": 32, "render_profile": "fastest"}
+NAMES = (ACTION_NAMES, OUR_FORMER_ACTION)
 RIGHT = dict(zip(ACTION_NAMES, [0.0, 0.5, 0.0, -1.0], strict=True))
 
 
@@ -61,7 +63,7 @@ def test_it_shows_and_does_what_the_environment_does(robot, task):
     ours = robot(seed=5, task=task)
     assert set(ours.observation_features) == {*STATE_NAMES, *CAMERAS}
     assert list(ours.action_features) == ACTION_NAMES
-    env = RobosuiteEnv(EnvSettings(task, image_size=16, render_profile="fastest"))
+    env = RobosuiteEnv(EnvSettings(task, image_size=32, render_profile="fastest"))
     observation, _ = env.reset(seed=5)
     for _ in range(4):
         shown = ours.get_observation()
@@ -91,6 +93,18 @@ def test_joint_positions_are_not_followed_and_half_an_action_is_refused(robot):
     assert ours.facts()["steps"] == 0
     with pytest.raises(SimulatorError, match=r"lacks \['gripper.pos'\]"):
         ours.send_action(dict.fromkeys(ACTION_NAMES[:3], 0.0))
+    with pytest.raises(SimulatorError, match=r"lacks \['delta_x.pos', "):
+        ours.send_action({"shoulder_pan.pos": 0.0})  # somebody else's recording, replayed
+
+
+def test_recordings_with_the_former_names_of_actions_are_replayed(robot):
+    moved = [state_of(act(robot(), 4, dict(zip(names, RIGHT.values(), strict=True)))) for names in NAMES]
+    np.testing.assert_array_equal(*moved)
+    assert np.linalg.norm(moved[0] - start_of(0)) > 0.01
+
+
+def test_the_least_image_is_the_least_video():
+    assert SMALLEST_IMAGE == SMALLEST_VIDEO
 
 
 def test_every_recorded_episode_begins_with_the_next_seed(robot):
@@ -196,7 +210,7 @@ def test_a_log_that_is_off_is_said(stdin, caplog):
         ({"task": "multitask_kitchen"}, "names 9 tasks; one robot runs exactly one"),
         ({"render_profile": "fine"}, "'fine'"),
         ({"seed": -1}, "robot.seed=-1 cannot work; it must be at least 0"),
-        ({"image_size": 0}, "robot.image_size=0"),
+        ({"image_size": 31}, "robot.image_size=31 cannot work; it must be at least 32"),
         ({"episode_length": 0}, "robot.episode_length=0"),
         ({"end_after_success_s": -1.0}, "robot.end_after_success_s=-1.0"),
         ({"new_scene_s": float("nan")}, "robot.new_scene_s=nan"),

@@ -1,6 +1,7 @@
 """What the robot is told of the dataset must be true, and a recording goes on where it ended."""
 
 import math
+import shutil
 
 import pytest
 from lerobot.datasets import LeRobotDataset
@@ -10,6 +11,7 @@ from lerobot_buds.core import DatasetError
 from lerobot_buds.data import read_collection
 from lerobot_buds.envs import EnvSettings
 from lerobot_buds.teleoperation.config_robosuite_sim import RobosuiteSimConfig
+from lerobot_buds.teleoperation.keys import press
 from lerobot_buds.teleoperation.pace import Pace
 from lerobot_buds.teleoperation.session import Episode, Session
 
@@ -51,6 +53,28 @@ def test_episodes_without_the_record_count_as_unknown(record, resumed, said):
     (task,) = read_collection(root)["tasks"]
     assert (task["episode_seeds"], task["succeeded"]) == ([None, 3], [None, False])
     assert any("seeds and success of some are not known" in line for line in said)
+
+
+def test_words_of_ones_own_for_the_task_are_warned_of_once(record, said, tmp_path, monkeypatch):
+    """The folder is told in another way than LeRobot is told it, too."""
+    monkeypatch.chdir(tmp_path)
+    record(TASK, [3, 4], "Fetch it", **SHORT, **{"robot.dataset_root": "./x/../recorded/"})
+    (line,) = [line for line in said if "--dataset.single_task='put the cube into the pot'" in line]
+    assert line.startswith("The task is called 'Fetch it' here")
+    assert read_collection(tmp_path / "recorded")["tasks"][0]["episode_seeds"] == [3, 4]
+    said.clear()
+    shutil.rmtree(tmp_path / "recorded")
+    record(TASK, [3], "put the cube into the pot", **SHORT)
+    assert not any("single_task" in line for line in said)
+
+
+def test_an_episode_that_its_user_ends_is_told_of(record, scripted, said):
+    scripted.before = staticmethod(lambda episode, step: press("next") if (episode, step) == (0, 3) else None)
+    record(TASK, [3, 4], **SHORT)
+    assert [line.partition(" steps")[0] for line in said if line.startswith("Seed")] == [
+        "Seed 3: no success after 4",
+        "Seed 4: no success after 8",
+    ]
 
 
 def test_another_rate_is_refused_before_anything_is_recorded(record, tmp_path):
