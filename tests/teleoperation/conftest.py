@@ -80,6 +80,8 @@ def run(monkeypatch: pytest.MonkeyPatch, stdin: None) -> Iterator[Callable[..., 
 
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
     former = {number: signal.getsignal(number) for number in numbers}
+    for number in numbers:  # as in a terminal: what runs in the background or under nohup ignores some of them
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     yield run
     for number, handler in former.items():
         signal.signal(number, handler)
