@@ -101,7 +101,7 @@ class Keys:
             atexit.unregister(self.close)
 
     def press(self, name: str) -> bool:
-        """Presses a key, and waits until it was read, for at most 0.2 s.
+        """Presses a key, and waits until it was read, for at most 0.2 s: whoever is slower will read it yet.
 
         Args:
             name: One of `KEYS`.
@@ -115,15 +115,17 @@ class Keys:
         with self._lock:
             if self._master is None or termios.tcgetattr(_STDIN)[3] & termios.ICANON:  # nobody reads single keys
                 return False
-            with contextlib.suppress(BlockingIOError):
+            try:
                 os.write(self._master, byte.encode())
+            except BlockingIOError:  # full of what nobody reads
+                return False
             if name == "next":
                 self._last_next = time.monotonic()
             patience = time.monotonic() + _PATIENCE_S
-            while (waiting := _unread()) and time.monotonic() < patience:
+            while _unread() and time.monotonic() < patience:
                 time.sleep(0.001)
             time.sleep(_TO_ACT_S)
-            return not waiting
+            return True
 
     def is_repeated(self) -> bool:
         """Tells whether a user's "next" is one too many, since there was one just now; it counts as one."""

@@ -141,6 +141,8 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
         self._take_in()
         if self._phase is Phase.FREE and scene.ended:
             self._next_scene()
+        if self._phase is Phase.EPISODE and scene.ended and not self._asked_for_next:
+            self._asked_for_next = keyboard().press("next")  # LeRobot's listener may have begun to read by now
         if self._phase is Phase.RESET:
             self._end_reset()
         else:
@@ -228,7 +230,7 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
                 if self._connected().seed < self._session.next_seed:  # this goes on with an earlier recording
                     self._connected().begin(self._session.next_seed)
                 self._refuse_evaluation_seeds(by_policy=self._by_policy)
-                self._phase = Phase.EPISODE
+                self._phase, self._asked_for_next = Phase.EPISODE, False
             elif what is Announcement.RESET:
                 self._close_episode()
                 self._next_scene()
@@ -280,15 +282,17 @@ class RobosuiteSim(Robot):  # type: ignore[misc]  # LeRobot ships no types
 
     def _ask_for_next(self) -> None:
         """Asks LeRobot for the next episode, where it records."""
-        if self._phase is Phase.EPISODE and not keyboard().press("next"):
+        if self._phase is not Phase.EPISODE:
+            return
+        self._asked_for_next = keyboard().press("next")
+        if not self._asked_for_next:
             logger.warning("LeRobot reads no keys here: the episode goes on, without motion, until its time is over.")
 
     def _end_reset(self) -> None:
         """Asks LeRobot for the episode once its scene was shown for long enough."""
         wait = self.config.new_scene_s
         if wait is not None and not self._asked_for_next and time.monotonic() - self._shown_since >= wait:
-            self._asked_for_next = True
-            keyboard().press("next")
+            self._asked_for_next = keyboard().press("next")
 
     def _refuse_evaluation_seeds(self, by_policy: bool) -> None:
         seed = self._connected().seed

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from lerobot.robots import make_robot_from_config
 from lerobot.utils.errors import DeviceNotConnectedError
+from lerobot.utils.keyboard_input import init_keyboard_listener
 
 from lerobot_buds.core import OUR_FORMER_ACTION, ConfigError, SimulatorError
 from lerobot_buds.data.writing import SMALLEST_VIDEO
@@ -105,6 +106,21 @@ def test_recordings_with_the_former_names_of_actions_are_replayed(robot):
 
 def test_the_least_image_is_the_least_video():
     assert SMALLEST_IMAGE == SMALLEST_VIDEO
+
+
+def test_who_reads_keys_late_is_asked_again(robot):
+    ours = robot(episode_length=2)
+    logging.info("Recording episode 0")
+    act(ours, 3)  # nobody listens yet
+    listener, events = init_keyboard_listener()
+    try:
+        act(ours, 2)
+        assert [events["exit_early"], ours.facts()["steps"]] == [True, 2]
+        events["exit_early"] = False
+        act(ours, 2)
+        assert not events["exit_early"]  # once is enough
+    finally:
+        listener.stop()
 
 
 def test_every_recorded_episode_begins_with_the_next_seed(robot):
