@@ -45,6 +45,17 @@ KEYS = {
     "l": Key("open", "gripper", OPEN),
 }
 
+BUTTONS = {
+    "next": "Next",
+    "re-record": "Re-record",
+    "stop": "Stop",
+    "pause": "Pause or resume",
+    "correct": "Take over or hand back",
+}
+"""What may be pressed, and how it is labelled. The first three are for recording, the others for corrections."""
+
+RECORDING = ("next", "re-record", "stop")
+
 
 def action_of(held: Set[str]) -> dict[str, float]:
     """Tells what held keys ask for, in the terms of LeRobot's gamepad.

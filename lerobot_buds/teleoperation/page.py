@@ -23,17 +23,6 @@ from .feed import Feed
 from .held_keys import HeldKeys
 from .layout import KEYS, SLOW_KEY
 
-BUTTONS = {
-    "next": "Next",
-    "re-record": "Re-record",
-    "stop": "Stop",
-    "pause": "Pause or resume",
-    "correct": "Take over or hand back",
-}
-"""What may be pressed, and how it is labelled. The first three are for recording, the others for corrections."""
-
-RECORDING = ("next", "re-record", "stop")
-
 logger = logging.getLogger(__name__)
 _opened: list["Page"] = []
 
@@ -48,8 +37,8 @@ class Page:
         token: What an address must hold to be answered; another one every time.
         feed: What is shown.
         keys: What is held.
-        on_press: Is called with a name of `BUTTONS` when a button is pressed, in a thread of the page's. There are
-            buttons only while it is set.
+        on_press: Is called with a name of `layout.BUTTONS` when a button is pressed, in a thread of the page's. There
+            are buttons only while it is set.
     """
 
     def __init__(self, port: int = 0) -> None:
@@ -103,8 +92,8 @@ class Page:
             images: ``(H, W, 3)`` uint8 by the camera's name.
             facts: Plain data, all of it optional: ``task`` (str), ``seed`` (int), ``phase`` (``free``, ``episode``,
                 ``reset``, ``paused`` or ``correction``), ``episodes`` (int: how many are saved), ``steps`` (int),
-                ``succeeded`` (bool), ``stages`` (``{name: whether it is done}``) and ``buttons`` (names of `BUTTONS`
-                to offer; those of a recording by default).
+                ``succeeded`` (bool), ``stages`` (``{name: whether it is done}``) and ``buttons`` (names of
+                `layout.BUTTONS` to offer; those of a recording by default).
         """
         self.feed.show(images, facts)
 

@@ -23,8 +23,7 @@ from urllib.parse import parse_qs, urlsplit
 from lerobot_buds.envs import FPS
 
 from .feed import message
-from .layout import KEYS, SLOW_KEY
-from .page import BUTTONS, RECORDING
+from .layout import BUTTONS, KEYS, RECORDING, SLOW_KEY
 
 if TYPE_CHECKING:
     from .page import Page
