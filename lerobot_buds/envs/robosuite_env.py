@@ -165,8 +165,10 @@ class RobosuiteEnv(gym.Env[Observation, NDArray[np.float32]]):
             action: (4,) float; what is executed of it, `executed` tells.
 
         Raises:
-            SimulatorError: The action or the simulation is not finite.
+            SimulatorError: The action is of another shape, or it or the simulation is not finite.
         """
+        if np.shape(action) != self.action_space.shape:
+            raise SimulatorError(f"{self.task} takes actions of {self.action_space.shape}, not {np.shape(action)}.")
         if not np.isfinite(action).all():
             raise SimulatorError(f"Step {self._steps} of {self.task}: the action is not finite: {action}.")
         self.simulation.step(self.executed(action).astype(np.float64))

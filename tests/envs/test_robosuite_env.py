@@ -84,6 +84,8 @@ def test_an_action_that_is_not_finite_is_refused(env, bad):
     env.reset(seed=6)
     with pytest.raises(SimulatorError, match=r"Step 0 of multitask_kitchen/task3_variant1: the action is not finite"):
         env.step(np.array([0, bad, 0, 0], np.float32))
+    with pytest.raises(SimulatorError, match=r"takes actions of \(4,\), not \(3,\)"):
+        env.step(np.zeros(3, np.float32))
 
 
 def test_a_diverged_simulation_is_an_error_and_the_next_episode_is_sound(env, trace):
