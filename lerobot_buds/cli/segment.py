@@ -90,6 +90,9 @@ def main() -> None:
     """Entry point of the console script."""
     config = parse(SegmentConfig)
     record = run(lambda: segment(config))
+    from lerobot_buds.representation import leave_processes  # loaded by now
+
+    leave_processes()
     if record is None:
         return
     print(f"{record.n_skills} skills in {len(record.episodes)} demonstrations")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .inputs import Modalities
     from .pictures import draw_reconstructions
     from .trained import REPRESENTATION_FILES, Representation
-    from .training import is_main_process, train_representation
+    from .training import is_main_process, leave_processes, train_representation
 else:
     __getattr__ = on_demand(__name__)
 
@@ -26,5 +26,6 @@ __all__ = [
     "encode_dataset",
     "encode_observations",
     "is_main_process",
+    "leave_processes",
     "train_representation",
 ]

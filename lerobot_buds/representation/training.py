@@ -91,6 +91,12 @@ def is_main_process(config: RepresentationConfig) -> bool:
     return bool(PartialState(cpu=config.device == "cpu").is_main_process)
 
 
+def leave_processes() -> None:
+    """Leaves the others of ``accelerate launch`` when all is shared: a process that ends connected may be aborted."""
+    if torch.distributed.is_initialized():
+        PartialState().destroy_process_group()
+
+
 def split_episodes(n_episodes: int, fraction: float, seed: int) -> tuple[IntArray, IntArray]:
     """Splits episodes into training and validation, seeded.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from lerobot_buds.representation import RepresentationConfig, encode_dataset, train_representation
+from lerobot_buds.representation import RepresentationConfig, encode_dataset, leave_processes, train_representation
 
 torch.set_num_threads(1)
 root, output, cache = map(Path, sys.argv[1:4])
@@ -29,3 +29,4 @@ def counted(batch: dict[str, torch.Tensor]) -> torch.Tensor:
 trained.network.latents = counted  # type: ignore[method-assign]
 latents = np.concatenate(encode_dataset(root, trained, 8, output.with_name(f"{output.name}_latents")))
 sys.stdout.write(f"encoded {len(batches)} batches of {sha256(latents.tobytes()).hexdigest()}\n")
+leave_processes()
