@@ -21,8 +21,9 @@ JOBS ?= 2
 reproduce: $(READY) ## run a table of the paper: TABLE=1 to 4, SIZE=smoke, cpu, gpu or paper, JOBS=2
 	$(BIN)/python scripts/reproduce.py --experiments='[table$(TABLE)]' --size=$(SIZE) --jobs=$(JOBS)
 
-# Files, not tests, go to the processes: those of a file share what they record and train.
-TEST := $(BIN)/python -m pytest --numprocesses=auto --dist=loadfile
+# Files, not tests, go to the processes: those of a file share what they record and train. In their order: files of few tests
+# take long, and would otherwise come last, when nobody shares the work.
+TEST := $(BIN)/python -m pytest --numprocesses=auto --dist=loadfile --no-loadscope-reorder
 
 test: $(READY) ## run all tests, on all cores
 	$(TEST)
