@@ -16,6 +16,8 @@ from gymnasium.utils.env_checker import check_env
 from lerobot_buds.core import ConfigError, SimulatorError
 from lerobot_buds.envs import STOCK_TASKS, TASKS, RobosuiteEnv, env_id, register_tasks
 
+pytestmark = pytest.mark.slow
+
 PAGE = Path(__file__).parents[2] / "docs/environments.md"
 SMALL = {"image_size": 16, "render_profile": "fastest"}
 TASK = "multitask_kitchen/task3_variant1"  # that of the folder's environment

@@ -13,6 +13,8 @@ from lerobot_buds.data import read_collection
 from lerobot_buds.teleoperation.journal import journal_of, restore
 from lerobot_buds.teleoperation.keys import press
 
+pytestmark = pytest.mark.slow
+
 TASK = "tool_use/cube_fetched"
 LENGTH = 12
 SEEDS = [3, 4, 5]

@@ -13,6 +13,8 @@ from lerobot_buds.envs import ACTION_NAMES, CAMERAS, STATE_NAMES, EnvSettings, R
 from lerobot_buds.representation import RepresentationConfig
 from lerobot_buds.segmentation import DiscoveryConfig
 
+pytestmark = pytest.mark.slow
+
 SEEDS = [3, 4]
 
 

@@ -12,6 +12,8 @@ from lerobot_buds.teleoperation.keys import press
 
 from .conftest import briefly
 
+pytestmark = pytest.mark.slow
+
 TASK = "multitask_kitchen/task3_variant1"
 TEXT = tasks_named(TASK)[0].description
 
