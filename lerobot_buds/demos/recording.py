@@ -306,14 +306,23 @@ def _columns(arrays: dict[str, NDArray[Any]], task: Task, recording: Recording) 
     }
 
 
-def _features(recording: Recording) -> dict[str, dict[str, Any]]:
-    size = recording.settings[0].image_size
+def features_of(size: int, video: bool) -> dict[str, dict[str, Any]]:
+    """Describes for LeRobot what every recording in our environments has: both cameras, state and action.
+
+    Args:
+        size: Height and width of the images (pixels).
+        video: Stores them as video, else as images.
+    """
     return {
-        **{IMAGE_PREFIX + camera: camera_feature((size, size, 3), recording.video) for camera in CAMERAS},
+        **{IMAGE_PREFIX + camera: camera_feature((size, size, 3), video) for camera in CAMERAS},
         STATE: vector_feature(STATE_NAMES),
         ACTION: vector_feature(ACTION_NAMES),
-        TRUE_STAGE: {"dtype": "int64", "shape": (1,), "names": None},
     }
+
+
+def _features(recording: Recording) -> dict[str, dict[str, Any]]:
+    stage = {"dtype": "int64", "shape": (1,), "names": None}
+    return features_of(recording.settings[0].image_size, recording.video) | {TRUE_STAGE: stage}
 
 
 def _collection_record(recording: Recording, attempts: list[list[Attempt]]) -> dict[str, Any]:

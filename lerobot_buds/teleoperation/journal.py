@@ -28,7 +28,8 @@ from lerobot_buds.core import (
 )
 from lerobot_buds.data.joining import join_parts
 from lerobot_buds.data.parts import write_part
-from lerobot_buds.data.writing import camera_feature, require_encodable, vector_feature
+from lerobot_buds.data.writing import require_encodable
+from lerobot_buds.demos.recording import features_of
 from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings, tasks_named
 
 from .scene import Scene
@@ -186,12 +187,7 @@ def _parts(
     text: str | None,
 ) -> Iterator[Path]:
     """Executes episode after episode and yields each as a dataset of its own."""
-    size = settings.image_size
-    features = {
-        **{IMAGE_PREFIX + camera: camera_feature((size, size, 3), video) for camera in CAMERAS},
-        STATE: vector_feature(STATE_NAMES),
-        ACTION: vector_feature(ACTION_NAMES),
-    }
+    features = features_of(settings.image_size, video)
     require_encodable(features)
     (task,) = tasks_named(settings.task)
     scene = Scene(settings, None)

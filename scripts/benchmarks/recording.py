@@ -7,9 +7,9 @@ from pathlib import Path
 from lerobot_buds.cli.collect import CollectConfig, collect
 from lerobot_buds.core import ACTION, IMAGE_PREFIX, STATE
 from lerobot_buds.data.parts import write_part
-from lerobot_buds.data.writing import camera_feature, vector_feature
 from lerobot_buds.demos.attempts import Attempt, Style, attempt_in_worker
-from lerobot_buds.envs import ACTION_NAMES, CAMERAS, FPS, STATE_NAMES, EnvSettings
+from lerobot_buds.demos.recording import features_of
+from lerobot_buds.envs import CAMERAS, FPS, EnvSettings
 
 from .figures import Figure, Setting, alone
 
@@ -47,11 +47,7 @@ def _simulated(count: int, pixels: int) -> tuple[list[Attempt], float]:
 
 
 def _write(attempt: Attempt, pixels: int, video: bool, place: Path) -> None:
-    features = {
-        **{IMAGE_PREFIX + camera: camera_feature((pixels, pixels, 3), video) for camera in CAMERAS},
-        STATE: vector_feature(STATE_NAMES),
-        ACTION: vector_feature(ACTION_NAMES),
-    }
+    features = features_of(pixels, video)
     columns = {
         **{IMAGE_PREFIX + camera: attempt.arrays[camera] for camera in CAMERAS},
         STATE: attempt.arrays["agent_pos"],
